@@ -24,6 +24,8 @@ from studies.blind.rigs import Rig, geometry_content
 Array = NDArray[np.float64]
 EXCITATIONS = ("multisine", "multisine", "multisine-several", "random", "sine-sweep", "stepped")
 REVOLUTIONS = 150
+# The second sweep of a moment about x or y is made with the hub turning, without blades: what spins shows nowhere else.
+SPINNING = (3, 4)
 # Of an rms of a channel in the strongest record, per sample: 12 to 14 bits of a full range.
 NOISE_RANGE = (1e-4, 6e-4)
 
@@ -47,7 +49,10 @@ def draw_size(rig: Rig, rng: np.random.Generator) -> Size:
 
 
 def sweeps(rig: Rig, size: Size, excitation: str, rng: np.random.Generator) -> list[Record]:
-    """Sweeps of each component at two levels, or of pairs of components with two sets of phases."""
+    """Sweeps of each component at two levels, or of pairs of components with two sets of phases.
+
+    The second sweeps of pitch and roll moment turn the rotor.
+    """
     rate = rig.sample_rate
     period = round(CYCLES_PER_PERIOD / rig.modes[0] * rate) / rate
     duration = PERIODS * period
@@ -76,6 +81,7 @@ def _waveform(kind, period, duration, band, rng):  # type: ignore[no-untyped-def
 
 def _sweep(rig, kind, excited, scale, waves, number, period, duration, rng):  # type: ignore[no-untyped-def]
     names = [COMPONENTS[i] for i in excited]
+    speed = rig.rotor_speed if number and set(SPINNING) & set(excited) else 0.0
     # Half of the campaigns begin at rest; a stepped record always does.
     rest = rng.random() < 0.5
 
@@ -89,12 +95,21 @@ def _sweep(rig, kind, excited, scale, waves, number, period, duration, rng):  # 
         "excitation": kind,
         "excited": names[0] if len(names) == 1 else names,
         "level": float(abs(scale[excited[0]])) if len(names) == 1 else [float(abs(scale[i])) for i in excited],
-        "rotor_speed": 0.0,
+        "rotor_speed": speed,
     }
     if kind in ("multisine", "sine-sweep"):
         attributes["period"] = period
     name = f"sweep-{'-'.join(names)}-{number + 1}"
-    return Record(name, "sweep", duration, loads, attributes, excited=tuple(excited))
+    return Record(
+        name,
+        "sweep",
+        duration,
+        loads,
+        attributes,
+        azimuth=(lambda time: 2 * np.pi * speed * time) if speed else None,
+        excited=tuple(excited),
+        spin=2 * np.pi * speed,
+    )
 
 
 def rotor_records(rig: Rig, size: Size, rng: np.random.Generator) -> tuple[list[Record], dict[str, Array]]:

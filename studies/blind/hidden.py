@@ -138,7 +138,7 @@ def structural_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 
 def gyroscopic_coupling(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """A rotor with angular momentum in every record but the zero (the rotor turns in check and wind runs only)."""
+    """A rotor with angular momentum, in every record with the rotor turning."""
     polar = truth.rig.inertia[2, 2] * rng.uniform(0.02, 0.1)
     G = np.zeros((truth.mechanics.size, truth.mechanics.size))
     G[3, 4], G[4, 3] = polar, -polar
@@ -215,11 +215,11 @@ def dry_friction(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 
 def free_play(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: a stop beside a cell that is reached at large motions only."""
+    """A stop beside a cell that is reached at large motions only."""
     i, gap = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth) * rng.uniform(0.1, 0.3)
     k = 0.2 * truth.rig.stiffness[i]
     law = Law(i, lambda d, state: k * (np.maximum(d - gap, 0) + np.minimum(d + gap, 0)))
-    return _beside(truth, law, "", {})
+    return _beside(truth, law, f"free-play@c{i + 1}", {"stiffness": k, "gap": gap})
 
 
 def _beside(truth: Truth, law: Law, label: str, parameters: dict[str, float]) -> Hidden:
@@ -269,10 +269,11 @@ def late_clock(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 
 def saturation(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: a channel saturates softly."""
+    """A channel saturates softly."""
     i = _draw_channel(truth, rng)
     limit = truth.rig.channels[i].sensitivity * 0.1 * truth.rig.mass * 9.81 * rng.uniform(1, 3)
-    return Hidden("", {}, replace(truth, saturation={i: limit}))
+    label = f"saturation@{truth.rig.channels[i].name}"
+    return Hidden(label, {"compression": limit**-2}, replace(truth, saturation={i: limit}))
 
 
 LINEAR: tuple[Cause, ...] = (
@@ -292,4 +293,5 @@ LINEAR: tuple[Cause, ...] = (
     mains_pickup,
 )
 NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
-UNKNOWN: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)
+# Most of them no effect describes.
+OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from studies.blind.campaign import EXCITATIONS, write_campaign
-from studies.blind.hidden import LINEAR, NONLINEAR, UNKNOWN, Cause, Hidden, nothing
+from studies.blind.hidden import LINEAR, NONLINEAR, OTHERS, Cause, Hidden, nothing
 from studies.blind.records import COMPONENTS, true_rig
 from studies.blind.rigs import draw_declared, draw_true
 
@@ -196,7 +196,7 @@ KNOWN = (*LINEAR, *NONLINEAR)
 
 
 def causes_of(seed: int) -> tuple[Cause, ...]:
-    """The causes of a seed: of 30, four have nothing, sixteen one effect, four two or three, six an unknown cause."""
+    """The causes of a seed: of 30, four have nothing, sixteen one effect, four two or three, six another cause."""
     rng, kind = np.random.default_rng([seed, 9]), seed % 30
     if kind < 4:
         return (nothing,)
@@ -205,7 +205,7 @@ def causes_of(seed: int) -> tuple[Cause, ...]:
     if kind < 24:
         count = 2 + kind % 2
         return tuple(LINEAR[i] for i in rng.choice(len(LINEAR), count, replace=False))
-    return (UNKNOWN[kind - 24],)
+    return (OTHERS[kind - 24],)
 
 
 def blind_chunk(seed: int) -> pd.DataFrame:
@@ -215,8 +215,8 @@ def blind_chunk(seed: int) -> pd.DataFrame:
 
 
 def blind_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Figures by kind of campaign: nothing hidden, one effect, several, an unknown cause."""
-    kinds = pd.cut(rows["seed"] % 30, [-1, 3, 19, 23, 29], labels=["nothing", "one effect", "several", "unknown cause"])
+    """Figures by kind of campaign: nothing hidden, one effect, several, other causes."""
+    kinds = pd.cut(rows["seed"] % 30, [-1, 3, 19, 23, 29], labels=["nothing", "one effect", "several", "other cause"])
     parts = []
     for kind, part in rows.groupby(kinds, observed=True):
         weight = part["unflagged"].fillna(0)
