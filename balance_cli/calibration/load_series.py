@@ -23,8 +23,6 @@ MIN_SERIES_ROWS = 3
 """Rows in a load series at least, so that a zero and a slope leave a residual; fewer rows join the previous series."""
 MAX_INTRUDING_SHARE = 0.05
 """Share of the rows that may intrude, as that of outliers; more of them are single loads that were meant."""
-MIN_INTRUDING_ROWS = 3
-"""Rows that may intrude in any case: two that were exchanged, and a neighbor that they cut off from its series."""
 MIN_RETURNS = 2
 """Returns to the first load from which it is a tare point, and not a load that was applied twice."""
 LARGE_STEP_RATIO = 1.5

@@ -14,6 +14,8 @@ MAX_VARIANCE_INFLATION = 1000.0
 """Variance inflation above which a term is not added: F, F|F| and F^3 in even steps have up to 336."""
 RESIDUAL_POWER_FLOOR = 1e-14
 """Floor of the residual over the power of a channel: below it a residual is rounding, which no term should fit."""
+LEAST_EIGENVALUE = 1e-10
+"""Of the products of scaled terms: rounding leaves 1e-14, and 1e-6 is below that of 96 terms within the limit above."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,26 @@ class TermNormalEquations:
     def inflation(self, selected: Sequence[int]) -> Array:
         """Variance inflation factor of each of these terms, infinite where the rows do not tell them apart."""
         at = list(selected)
-        try:
-            return np.asarray(np.diag(np.linalg.inv(self.G[np.ix_(at, at)])))
-        except np.linalg.LinAlgError:
+        products = self.G[np.ix_(at, at)]
+        # The inverse of a matrix that is singular but for rounding is finite and wrong, and no error.
+        if np.linalg.eigvalsh(products)[0] < LEAST_EIGENVALUE:
             return np.full(len(at), np.inf)
+        return np.asarray(np.diag(np.linalg.inv(products)))
+
+    def pair_residuals(self, selected: Sequence[int], pairs: NDArray[np.intp]) -> Array:
+        """Residual sum of squares (n,) with each of these pairs (n, 2) of further terms beside the selected ones.
+
+        That without the pair where the rows do not tell its terms apart.
+        """
+        at, (i, j) = list(selected), pairs.T
+        along = np.linalg.solve(self.G[np.ix_(at, at)], np.column_stack([self.G[at], self.g[at]]))
+        G, g = self.G - self.G[:, at] @ along[:, :-1], self.g - self.G[:, at] @ along[:, -1]
+        a, b, c = G[i, i], G[j, j], G[i, j]
+        determinant = a * b - c**2
+        is_told = (np.minimum(a, b) > LEAST_EIGENVALUE) & (determinant > LEAST_EIGENVALUE * a * b)
+        gain = (b * g[i] ** 2 + a * g[j] ** 2 - 2.0 * c * g[i] * g[j]) / np.where(is_told, determinant, 1.0)
+        left = self.yy - self.g[at] @ along[:, -1] - np.where(is_told, gain, 0.0)
+        return np.asarray(np.maximum(left, RESIDUAL_POWER_FLOOR * self.yy))
 
     def explained_squares(self, selected: Sequence[int]) -> tuple[Array, Array]:
         """Sum of squares (p,) that each further term would explain, and its variance inflation (p,)."""

@@ -211,12 +211,15 @@ def _best_pair(
     """The pair of terms that explains most, with its p-value; no terms and 1 where none may be added."""
     at = list(selected)
     known = set(at)
-    left = {pair: normal.residual([*at, *pair]) for pair in pairs if not known & set(pair)}
-    best = min(left, key=lambda pair: left[pair], default=None)
-    if best is None or np.max(normal.inflation([*at, *best])[-2:]) > MAX_VARIANCE_INFLATION:
+    open_pairs = [pair for pair in pairs if not known & set(pair)]
+    if not open_pairs:
         return (), 1.0
-    gain, dof = normal.residual(at) - left[best], normal.rows_less_zeros - len(at) - 2
-    return best, _p_value(gain, left[best], dof, 2)
+    residuals = normal.pair_residuals(at, np.array(open_pairs, np.intp))
+    place = int(np.argmin(residuals))
+    best, left = open_pairs[place], float(residuals[place])
+    if np.max(normal.inflation([*at, *best])[-2:]) > MAX_VARIANCE_INFLATION:
+        return (), 1.0
+    return best, _p_value(normal.residual(at) - left, left, normal.rows_less_zeros - len(at) - 2, 2)
 
 
 def _p_value(gain: float, residual: float, dof: int, terms: int = 1) -> float:
