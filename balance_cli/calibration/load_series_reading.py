@@ -8,7 +8,7 @@ that an outlier does not decide.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from balance_cli.calibration.load_series import (
     split_rows,
 )
 from balance_cli.calibration.load_series_score import ReadingScore, ScheduleRows
+from balance_cli.calibration.misplaced_loads import find_misplaced_loads
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -47,10 +48,14 @@ _POSITION_WORDS = {
 
 @dataclass(frozen=True)
 class SeriesReading:
-    """Number (m,) of the load series of each row, and how it was found, in words."""
+    """Number (m,) of the load series of each row, and how it was found, in words.
+
+    `misplaced`: rows whose loads stand in each other's row, or have the wrong sign; the series are those without it.
+    """
 
     load_series: Index
     notes: tuple[str, ...]
+    misplaced: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,20 +74,21 @@ def read_load_series(rows: ScheduleRows) -> SeriesReading:
     at = np.flatnonzero(rows.used)
     if len(at) == 0:
         return SeriesReading(np.unique(rows.segment, return_inverse=True)[1].astype(np.intp), ())
-    reading = _read_used_rows(
-        ScheduleRows(
-            x=rows.x[at],
-            channels=rows.channels[at],
-            segment=rows.segment[at],
-            run=rows.run[at],
-            run_names=rows.run_names,
-            stated=tuple(rows.stated[row] for row in at.tolist()),
-            tare=rows.tare[at],
-            used=np.ones(len(at), bool),
-        )
+    used = ScheduleRows(
+        x=rows.x[at],
+        channels=rows.channels[at],
+        segment=rows.segment[at],
+        run=rows.run[at],
+        run_names=rows.run_names,
+        stated=tuple(rows.stated[row] for row in at.tolist()),
+        tare=rows.tare[at],
+        used=np.ones(len(at), bool),
     )
+    misplaced = find_misplaced_loads(used)
+    reading = _read_used_rows(used if misplaced is None else replace(used, x=misplaced.x))
     before = np.clip(np.searchsorted(at, np.arange(len(rows.x)), side="right") - 1, 0, None)
-    return SeriesReading(reading.load_series[before], reading.notes)
+    found = () if misplaced is None else tuple(at[list(misplaced.rows)].tolist())
+    return SeriesReading(reading.load_series[before], reading.notes, found)
 
 
 def _read_used_rows(rows: ScheduleRows) -> SeriesReading:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import subtract_block_means
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE, intruding_rows
-from balance_cli.calibration.robust_fit import RobustFit, fit_robustly
+from balance_cli.calibration.robust_fit import SCALE_FLOOR, RobustFit, fit_robustly
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -56,7 +56,8 @@ class ReadingScore:
         fit = _best_robust_fit(rows.x[regular], rows.channels[regular], [series[regular] for series in readings])
         self._rows = regular[~(fit.stands_out & loaded)]
         self._x, self._channels = rows.x[self._rows], rows.channels[self._rows]
-        self._scale: Array | None = None
+        # That of the reading that fits best: others would hide the errors by which they are to be judged.
+        self._scale = np.min([self._robust_scale(series) for series in readings], axis=0)
 
     def score(self, load_series: Index) -> float:
         """Score of one reading (m,), less is better; infinite where it does not determine the loads."""
@@ -64,9 +65,6 @@ class ReadingScore:
         errors = self._errors(block)
         if errors is None:
             return float("inf")
-        if self._scale is None:
-            spread = np.ptp(self._channels, axis=0)
-            self._scale = np.maximum(1.4826 * np.median(np.abs(errors), axis=0), 1e-9 * np.maximum(spread, 1e-300))
         squares = np.mean((errors / self._scale) ** 2, axis=1)
         return float(np.sum(np.minimum(squares, MAX_SCALED_SQUARE)) + len(np.unique(block)) * np.log(len(block)))
 
@@ -77,12 +75,20 @@ class ReadingScore:
         """
         few, many = few[self._rows], many[self._rows]
         errors = [self._errors(np.unique(block, return_inverse=True)[1]) for block in (few, many)]
-        if errors[0] is None or errors[1] is None or self._scale is None:
+        if errors[0] is None or errors[1] is None:
             return False
         gain = np.mean((errors[0] / self._scale) ** 2 - (errors[1] / self._scale) ** 2, axis=1)
         split = [name for name in np.unique(few) if len(np.unique(many[few == name])) > 1]
         gains = [float(np.sum(gain[few == name])) for name in split]
         return bool(gains) and float(np.median(gains)) > np.log(len(few))
+
+    def _robust_scale(self, load_series: Index) -> Array:
+        """Robust standard deviation (c,) of the errors of one reading (m,); infinite where it determines no loads."""
+        errors = self._errors(np.unique(load_series[self._rows], return_inverse=True)[1])
+        if errors is None:
+            return np.full(self._channels.shape[1], np.inf)
+        spread = np.maximum(np.ptp(self._channels, axis=0), 1e-300)
+        return np.asarray(np.maximum(1.4826 * np.median(np.abs(errors), axis=0), SCALE_FLOOR * spread))
 
     def _errors(self, block: Index) -> Array | None:
         """Errors (m, c) scaled to the variance of a row, of a fit with a zero for each block (m,)."""

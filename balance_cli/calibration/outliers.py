@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
-from balance_cli.calibration.gross_outliers import gross_outlier_candidates
+from balance_cli.calibration.gross_outliers import gross_outlier_candidates, misplaced_rows
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_row_sigma
@@ -92,13 +92,13 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     Where the model that was selected with them leaves none of them an outlier, and the others no larger errors, they
     are evidence of a term and no mistake.
     """
-    none = np.zeros(len(points.weight), bool)
+    none, misplaced = np.zeros(len(points.weight), bool), misplaced_rows(points)
     gross = gross_outlier_candidates(points)
     if not gross.any():
         return none
     for _ in range(MAX_SCREENINGS):
         fit = fit_calibration_model(points.exclude_rows(gross), choice)
-        ratio = _prediction_ratio(points, fit, gross)
+        ratio = np.where(misplaced, np.inf, _prediction_ratio(points, fit, gross))
         agreeing = gross & (ratio <= _limit(points, fit))
         gross = gross & ~agreeing
         if not agreeing.any() or not gross.any():
@@ -106,13 +106,38 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     if not gross.any():
         return none
     gross = gross & (ratio >= np.sort(ratio[gross])[::-1][: _most_outliers(points)].min())
-    fit = fit_calibration_model(points.exclude_rows(gross), choice)
-    whole = fit_calibration_model(points, choice)
+    if misplaced.any():
+        return gross
+    alone = _single_outlier(points, choice, gross)
+    if alone is not None:
+        return alone
+    without = points.exclude_rows(gross)
+    fit, whole = fit_calibration_model(without, choice), fit_calibration_model(points, choice)
     outlying, _ = _outlying_rows(points, whole, int(np.count_nonzero(gross)))
-    is_explained = not (outlying & gross).any()
+    # In a short series a wrong row makes another one stand out: then all must agree without the wrong one.
+    is_explained = not (outlying & gross).any() and not (outlying.any() and _largest_outlier(without, fit) is None)
     return none if is_explained and _scale(points, whole, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross) else gross
 
 
+def _single_outlier(points: CalibrationPoints, choice: TermChoice, gross: Mask) -> Mask | None:
+    """The one row of several (m,) without which none of them stands out; None where none, or more than one, does that.
+
+    In a short load series a wrong row can make all the others look wrong.
+    """
+    rows = np.flatnonzero(gross)
+    if not 1 < len(rows) <= MOST_SINGLE_TRIALS:
+        return None
+    sufficient = []
+    for row in rows.tolist():
+        alone = np.arange(len(gross)) == row
+        without = points.exclude_rows(alone)
+        if _largest_outlier(without, fit_calibration_model(without, choice)) is None:
+            sufficient.append(alone)
+    return sufficient[0] if len(sufficient) == 1 else None
+
+
+MOST_SINGLE_TRIALS = 5
+"""Rows of which each is tried as the only outlier: the length of the shortest usual load series."""
 SAME_SCALE = 1.2
 """Ratio of two robust scales that differ by chance in some dozens of rows."""
 
