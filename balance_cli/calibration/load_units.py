@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from balance_cli.calibration.result import TrimCalibration
+from balance_cli.campaign.rig.geometry import Geometry
 
 MOST_OF_RATED = 3.0
 """Calibrated range over the rated load from which the unit is doubtful: balances are proof-loaded to twice at most."""
@@ -48,3 +49,17 @@ def doubtful_units(trim: TrimCalibration, units: tuple[str, ...]) -> Iterator[st
             f"the channels respond to a {units[j]} of {name} by a factor of {max(ratio, 1.0 / ratio):.3g} {way} "
             f"than to one of {others}: is the unit of {name} right? Declare `rated_loads` in the geometry"
         )
+
+
+def scale_evidence(geometry: Geometry, trim: TrimCalibration) -> tuple[str, ...]:
+    """What the scale of the loads is held against beside the table itself, in words; empty where nothing is.
+
+    Loads in pounds that a table calls newtons are consistent with themselves. Declared sensitivities contradict them;
+    rated loads only beyond their own factors, and components of different scale among each other.
+    """
+    evidence = []
+    if any(channel.measures_mechanics for channel in geometry.channels if channel.name in trim.channel_names):
+        evidence.append("declared sensitivities")
+    if trim.rated_load is not None and np.isfinite(trim.rated_load).any():
+        evidence.append("rated loads")
+    return tuple(evidence)

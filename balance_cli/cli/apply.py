@@ -64,6 +64,7 @@ def command(
     """
     from balance_cli.calibration.result import Calibration
     from balance_cli.cli.apply_output import apply_summary, apply_text, loads_csv, output_units
+    from balance_cli.cli.scale_text import scale_evidence_of, scale_text
     from balance_cli.steps.point_loads import move_moment_center
     from balance_cli.steps.point_readings import point_readings, zero_reading
     from balance_cli.steps.point_temperature import point_loads_at_temperature
@@ -86,7 +87,8 @@ def command(
     for run in loads:
         if run.left_out:
             session.warn(f"{run.run}: channels absent: {', '.join(run.left_out)}; the others determine the loads")
-    session.finish(apply_summary(loads), apply_text(loads, columns))
+    summary = {**apply_summary(loads), "scale_evidence": scale_evidence_of(result)}
+    session.finish(summary, [*apply_text(loads, columns), *scale_text(result)])
 
 
 def _open(

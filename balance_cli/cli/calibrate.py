@@ -105,6 +105,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     from balance_cli.cli.calibration_text import calibration_text
     from balance_cli.cli.consistency import report_findings, require_consistent_runs, with_findings
     from balance_cli.cli.matrix_files import linear_matrix_text, matrix_file_text, read_matrix_calibration
+    from balance_cli.cli.scale_text import scale_evidence_of, scale_text
     from balance_cli.diagnosis.consistency.severity import measured_anyway
     from balance_cli.steps.trim_agreement import trim_findings
 
@@ -129,7 +130,9 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
         session.write_text(choices.matrix, matrix_file_text(result, choices.matrix))
     if choices.linear_matrix is not None:
         session.write_text(choices.linear_matrix, linear_matrix_text(result, choices.linear_matrix))
-    summary, text = calibration_summary(result), list(calibration_text(result))
+    compared = bool(choices.against)
+    summary = {**calibration_summary(result), "scale_evidence": scale_evidence_of(result, compared)}
+    text = [*calibration_text(result), *scale_text(result, compared)]
     if choices.against:
         summary |= compare_with_earlier(session, result, choices.against, output.name, text)
     session.finish(summary, text)

@@ -27,6 +27,7 @@ from balance_cli.report.math_model import math_model_blocks
 from balance_cli.report.number_format import MARKED_SIGMA, format_significant, value_and_sigma_text
 from balance_cli.report.reading_scale import MICROVOLTS, ReadingScale, reading_scale
 from balance_cli.report.sources import Source, Sources
+from balance_cli.report.temperature import temperature_blocks
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,7 @@ def section(sources: Sources) -> Section | None:
         blocks += check_load_blocks(source.content, suffix)
         blocks += _calibration_blocks(source)
         blocks += math_model_blocks(source, named, suffix)
+        blocks += temperature_blocks(source.content)
         blocks += load_schedule_blocks(source.content)
     return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
 

@@ -174,5 +174,6 @@ def test_all_loads_of_a_component_in_another_unit_are_doubted(factor, rated, wor
     call = ["calibrate", "-g", str(tmp_path / "g.yaml"), str(tmp_path / "t.csv"), "-o", str(tmp_path / "c.h5")]
     done = CliRunner().invoke(balance, call)
     assert done.exit_code == 0, done.output
+    assert ("scale not verified by anything" in done.output) == (rated is None)
     doubts = [line for line in done.stderr.splitlines() if "right?" in line]
     assert len(doubts) == bool(words) and all(words in line and "Fz" in line for line in doubts)

@@ -13,6 +13,7 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.cli import balance
 from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.response_sources import static_source
+from balance_cli.report.temperature import temperature_blocks
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.point_temperature import point_loads_at_temperature
 from balance_cli.steps.point_zeros import PointReadings
@@ -186,3 +187,16 @@ def test_tables_state_temperatures_in_any_unit(tmp_path, unit, scale, offset):
     done = CliRunner().invoke(balance, words)
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["runs"]["points"]["error"]["A"] < 0.02
+
+
+def test_the_page_has_a_row_for_each_channel():
+    """In % of its largest reading: the table is that of the estimates; without temperature there is none."""
+    cal = warming_calibration()
+    terms, trim = cal.temperature, next(iter(cal.trims.values()))
+    heading, _, table = temperature_blocks(cal)
+    assert heading.text == "Temperature" and len(table.rows) == len(trim.channel_names)
+    channel = int(np.argmax(np.abs(terms.coefficients[0])))
+    largest = np.max(np.abs(trim.C0[channel]) * trim.calibrated_range)
+    assert float(table.rows[channel][1].text) == pytest.approx(100 * terms.coefficients[0, channel] / largest, rel=0.01)
+    assert table.rows[channel][1].mark == "bad"
+    assert not list(temperature_blocks(replace(cal, temperature=None)))
