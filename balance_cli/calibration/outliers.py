@@ -107,7 +107,7 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
         return none
     gross = gross & (ratio >= np.sort(ratio[gross])[::-1][: _most_outliers(points)].min())
     if misplaced.any():
-        return gross
+        return np.asarray(gross)
     alone = _single_outlier(points, choice, gross)
     if alone is not None:
         return alone
