@@ -21,7 +21,7 @@ Index = NDArray[np.intp]
 
 MOST_ROWS = 100
 """With more rows a robust fit finds misplaced loads."""
-MOST_SUSPECTS = 30
+MOST_TRIED_ROWS = 30
 """Rows, those of the largest errors, that are tried: 435 pairs. In a table of so few rows each error hides in all."""
 MIN_DIFFERENCE = 0.05
 """Share of the calibrated range by which two loads differ that are exchanged to any effect."""
@@ -51,7 +51,7 @@ def find_misplaced_loads(rows: ScheduleRows) -> MisplacedLoads | None:
     if len(rows.x) > MOST_ROWS or dof < MIN_DOF:
         return None
     channels = subtract_block_means(rows.channels, block)
-    trials = _trials(rows, _suspects(rows.x[:, loaded], channels, block))
+    trials = _trials(rows, _rows_of_largest_errors(rows.x[:, loaded], channels, block))
     if not trials:
         return None
     schedules = [_undo(rows.x, trial) for trial in trials]
@@ -83,23 +83,23 @@ def _blocks(rows: ScheduleRows) -> Index:
     return np.asarray(np.unique(names, return_inverse=True)[1], np.intp)
 
 
-def _suspects(x: Array, channels: Array, block: Index) -> list[int]:
+def _rows_of_largest_errors(x: Array, channels: Array, block: Index) -> list[int]:
     """The rows of the largest errors, in their order."""
     Q = np.linalg.qr(subtract_block_means(x, block))[0]
     errors = channels - Q @ (Q.T @ channels)
     size = np.sum(errors**2 / np.maximum(np.mean(errors**2, axis=0), np.finfo(float).tiny), axis=1)
-    return sorted(np.argsort(-size, kind="stable")[:MOST_SUSPECTS].tolist())
+    return sorted(np.argsort(-size, kind="stable")[:MOST_TRIED_ROWS].tolist())
 
 
-def _trials(rows: ScheduleRows, suspects: list[int]) -> list[tuple[int, ...]]:
+def _trials(rows: ScheduleRows, tried: list[int]) -> list[tuple[int, ...]]:
     """Rows that may have been exchanged, and rows that may have the wrong sign."""
     x = rows.x
     pairs = [
         (i, j)
-        for i, j in combinations(suspects, 2)
+        for i, j in combinations(tried, 2)
         if rows.run[i] == rows.run[j] and np.max(np.abs(x[i] - x[j])) > MIN_DIFFERENCE
     ]
-    return [*pairs, *((i,) for i in suspects if np.max(np.abs(x[i])) > MIN_DIFFERENCE)]
+    return [*pairs, *((i,) for i in tried if np.max(np.abs(x[i])) > MIN_DIFFERENCE)]
 
 
 def _undo(x: Array, trial: tuple[int, ...]) -> Array:
