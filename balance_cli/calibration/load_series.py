@@ -34,14 +34,15 @@ Below it the series zeros would explain most of the variation of some loads, and
 """
 
 TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST = "last", "first", "split-last", "split-first"
-EACH_TARE, EACH_RETURN = "each", "each-return"
-TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE, EACH_RETURN)
+EACH_TARE, EACH_RETURN, EACH_SIGN = "each", "each-return", "each-sign"
+TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE, EACH_SIGN, EACH_RETURN)
 """Where the tare points of load series stand.
 
 `last`: an unloaded row between two series closes the earlier one; `first`: it opens the later one; `split-last` and
 `split-first`: the same, but two unloaded rows in succession belong to one series each; `each`: a series opens wherever
 the loads return to their first value at once, also where the same load is varied again; `each-return`: also where they
-return to it by a step of the ramp, as between the two directions of a load.
+return to it by a step of the ramp, as between the two directions of a load; `each-sign`: also where a load changes its
+sign from one row to the next, as between two directions whose tare points stand in their midst.
 """
 
 
@@ -70,7 +71,7 @@ def determines_loads(x: Array, load_series: Index, runs: Index) -> bool:
 
 def split_rows(x: Array, position: str = TARE_LAST) -> Index:
     """Number (m,) from 0 of the load series of each row of one run, loads x (m, n)."""
-    if position in (TARE_FIRST, SPLIT_FIRST, EACH_TARE, EACH_RETURN):
+    if position in (TARE_FIRST, SPLIT_FIRST, EACH_TARE, EACH_RETURN, EACH_SIGN):
         # Backwards in time a tare point that opens a series closes it.
         starts = sorted(len(x) - start for start in _starts(x[::-1])[1:])
         starts = [0, *starts]
@@ -78,11 +79,14 @@ def split_rows(x: Array, position: str = TARE_LAST) -> Index:
         starts = _starts(x)
     if position in (SPLIT_LAST, SPLIT_FIRST):
         starts = [_between_tares(x, start) for start in starts]
-    if position in (EACH_TARE, EACH_RETURN):
-        returns = _returns_to_first_load(x, LARGE_STEP_RATIO if position == EACH_TARE else 0.0)
+    if position in (EACH_TARE, EACH_RETURN, EACH_SIGN):
+        base = np.zeros_like(x[0]) if position == EACH_SIGN else x[0]
+        returns = _returns_to_load(x, base, 0.0 if position == EACH_RETURN else LARGE_STEP_RATIO)
         # Of two tare points the loads may have taken the other one.
         others = [start for start in starts if all(abs(start - row) >= MIN_SERIES_ROWS for row in returns)]
         starts = sorted({0, *others, *returns})
+    if position == EACH_SIGN:
+        starts = sorted({*starts, *_sign_changes(x)})
     return np.asarray(np.searchsorted(starts, np.arange(len(x)), side="right") - 1, np.intp)
 
 
@@ -101,13 +105,20 @@ def _between_tares(x: Array, start: int) -> int:
     return start
 
 
-def _returns_to_first_load(x: Array, ratio: float) -> list[int]:
-    """Rows at which all loads return to those of the first row in a step above `ratio` times the one that follows.
+def _sign_changes(x: Array) -> list[int]:
+    """Rows at which a load has the other sign than in the row before; none where a series would be too short."""
+    loaded = (np.abs(x[1:]) > MIN_LOAD_CHANGE) & (np.abs(x[:-1]) > MIN_LOAD_CHANGE)
+    rows = (1 + np.flatnonzero(np.any(loaded & (x[1:] * x[:-1] < 0.0), axis=1))).tolist()
+    return rows if min(np.diff([0, *rows, len(x)]), default=0) >= MIN_SERIES_ROWS else []
+
+
+def _returns_to_load(x: Array, base: Array, ratio: float) -> list[int]:
+    """Rows at which all loads return to the tare, `base` (n,), in a step above `ratio` times the one that follows.
 
     Two such rows in succession are two tare points, whatever the steps: the second opens a series. None where a load
     series would be too short.
     """
-    at_base = np.all(np.abs(x - x[0]) <= MIN_LOAD_CHANGE, axis=1)
+    at_base = np.all(np.abs(x - base) <= MIN_LOAD_CHANGE, axis=1)
     step = np.linalg.norm(np.diff(x, axis=0), axis=1)
     returns = [row for row in range(1, len(x) - 1) if at_base[row] and not at_base[row - 1] and not at_base[row + 1]]
     repeated = [row for row in range(2, len(x) - 1) if at_base[row - 1] and at_base[row] and not at_base[row + 1]]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.load_series import (
     EACH_RETURN,
+    EACH_SIGN,
     EACH_TARE,
     MIN_LOAD_CHANGE,
     SPLIT_FIRST,
@@ -43,7 +44,10 @@ _POSITION_WORDS = {
     SPLIT_FIRST: "load series open and close with a tare point",
     EACH_TARE: "each return to the tare opens a load series",
     EACH_RETURN: "each return to the tare opens a load series",
+    EACH_SIGN: "each change of sign opens a load series",
 }
+_SPLIT_DIRECTIONS = (EACH_SIGN, EACH_RETURN)
+"""Readings by which the two directions of a load are two series."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,7 @@ def _candidates(rows: ScheduleRows, at: Index) -> list[_Candidate]:
     readings = [
         (position, _split_at_tares(tare, position) if inner_tares else split_rows(x, position))
         for position in TARE_POSITIONS
-        if not (inner_tares and position in (EACH_TARE, EACH_RETURN))
+        if not (inner_tares and position in (EACH_TARE, *_SPLIT_DIRECTIONS))
     ]
     regular = _readings_without(x, ~intruding_rows(x)) if not inner_tares else []
     default = dict(regular or readings)[_default_position(x)]
@@ -200,14 +204,16 @@ def _choose_readings(
     numbered = [_number_series(rows, choice) for choice in common]
     scorer = ReadingScore(rows, numbered)
     scores = [scorer.score(series) for series in numbered]
-    if not scorer.is_general(numbered[int(np.argmin(scores[:-1]))], numbered[-1]):
-        scores[-1] = float("inf")
+    split = range(len(scores) - len(_SPLIT_DIRECTIONS), len(scores))
+    whole = numbered[int(np.argmin(scores[: split.start]))]
+    for place in split:
+        scores[place] = scores[place] if scorer.is_general(whole, numbered[place]) else float("inf")
     best = int(np.argmin(scores))
     chosen = common[best] if scores[best] < scores[0] - DECISIVE_SCORE_DIFFERENCE else default
     decided: dict[int, float] = {}
     for number, possible in by_segment.items():
         # A wrong gain in one segment resembles a shifted zero between its two directions: all segments must show it.
-        candidates = [each for each in possible if each.position != EACH_RETURN or each is chosen[number]]
+        candidates = [each for each in possible if each.position not in _SPLIT_DIRECTIONS or each is chosen[number]]
         if len(candidates) < 2:
             continue
         alone = np.array([scorer.score(_number_series(rows, {**chosen, number: each})) for each in candidates])

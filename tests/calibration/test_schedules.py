@@ -208,3 +208,14 @@ def test_each_direction_opens_and_closes_with_its_tare():
     expected = np.repeat(np.arange(6), len(up))
     np.testing.assert_array_equal(split_rows(x, "each-return"), expected)
     np.testing.assert_array_equal(split_rows(x, "each"), expected)
+
+
+def test_directions_whose_tare_stands_in_their_midst_are_two_series():
+    """Up, to the tare, and down again; then the other direction, without a tare between them."""
+    steps = np.array([0.25, 0.5, 0.75, 1.0, 0.0, 1.0, 0.75, 0.5, 0.25])
+    x = np.vstack([np.outer(sign * steps, row) for row in np.eye(6) for sign in (1.0, -1.0)])
+    _, points = recorded(x, series := np.repeat(np.arange(12), 9))
+    whole = calibrate_all_trims(points, choice=LINEAR_TERMS)
+    np.testing.assert_array_equal(whole.load_series, series)
+    assert whole.series_notes == ("s: each change of sign opens a load series; the readings decide it",)
+    assert whole.outliers == ()
