@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, blade_loads, static_plans
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, blade_loads, static_plans
 
 EXCITATIONS = ("multisine", "random", "stepped")
 SIZES = (25.0, 1e4)

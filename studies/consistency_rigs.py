@@ -10,7 +10,12 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_from_dict, load_geometry
 from balance_cli.simulation import CampaignPlan, RotorPlan, StaticPlan, SweepPlan
-from balance_cli.simulation.plans import FIRST_HARMONIC_AMPLITUDES, HIGH_SWEEP_LEVELS, STATIC_LOAD_LIMITS, blade_loads
+from balance_cli.simulation.preset_plans import (
+    FIRST_HARMONIC_AMPLITUDES,
+    HIGH_SWEEP_LEVELS,
+    STATIC_LOAD_LIMITS,
+    blade_loads,
+)
 
 SAMPLE_GEOMETRY = Path(__file__).parents[1] / "configs" / "rts-6.yaml"
 TOLERANCES = {

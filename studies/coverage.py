@@ -20,7 +20,8 @@ from balance_cli.model.balance import balance_model
 from balance_cli.signals.covariance_pooling import pooled_covariance
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from balance_cli.simulation import Noise, draw_rig, simulate_run
-from balance_cli.simulation.plans import StaticPlan, SweepPlan, campaign_plan
+from balance_cli.simulation.plans import StaticPlan, SweepPlan
+from balance_cli.simulation.preset_plans import campaign_plan
 from balance_cli.simulation.rig import TrueRig
 from tests.support.truth import true_parameters
 

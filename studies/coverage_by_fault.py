@@ -30,7 +30,8 @@ from balance_cli.reduction.response_sources import ResponseSource, static_source
 from balance_cli.simulation import Campaign, CampaignPlan, RotorPlan, draw_rig, simulate_campaign
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.library import extension
-from balance_cli.simulation.plans import HARMONIC_SHAPE, LoadStep
+from balance_cli.simulation.plans import LoadStep
+from balance_cli.simulation.preset_plans import HARMONIC_SHAPE
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.truth import RunTruth
 from balance_cli.steps.calibrate import calibrate

@@ -21,7 +21,7 @@ from balance_cli.simulation import RotorPlan, StaticPlan, TrueRig, true_rig
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.signals import TimeDelay
 from balance_cli.simulation.load_signals import OVERSAMPLING
-from balance_cli.simulation.plans import HARMONIC_SHAPE
+from balance_cli.simulation.preset_plans import HARMONIC_SHAPE
 from balance_cli.simulation.rotor import smooth_step
 
 Array = NDArray[np.float64]

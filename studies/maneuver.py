@@ -22,7 +22,8 @@ from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LowPassDrift, Oscillators
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.simulation import simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.plans import WIND_ON_LOADS, CampaignPlan, LoadStep, RotorPlan, blade_loads, static_plans
+from balance_cli.simulation.plans import CampaignPlan, LoadStep, RotorPlan
+from balance_cli.simulation.preset_plans import WIND_ON_LOADS, blade_loads, static_plans
 from balance_cli.steps import reduce_in_time
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify

@@ -19,7 +19,7 @@ from balance_cli.simulation import (
     true_rig,
 )
 from balance_cli.simulation.files import read_plan
-from balance_cli.simulation.plans import PRESETS
+from balance_cli.simulation.preset_plans import PRESETS
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.simulation.truth import random_stream
 

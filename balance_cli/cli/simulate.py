@@ -122,7 +122,7 @@ def _write_campaign(
 def _load_plan(plan: str, only: tuple[str, ...], geometry: Geometry) -> CampaignPlan:
     from balance_cli.simulation import campaign_plan
     from balance_cli.simulation.files import read_plan
-    from balance_cli.simulation.plans import PRESETS
+    from balance_cli.simulation.preset_plans import PRESETS
 
     speed = geometry.rotor.speed if geometry.rotor else 17.5
     whole = campaign_plan(plan, speed) if plan in PRESETS else read_plan(Path(plan))

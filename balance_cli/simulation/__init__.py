@@ -5,16 +5,8 @@ It shares no code with the frequency-domain model of the balance.
 
 from balance_cli.simulation.campaign import Campaign, iterate_simulated_runs, simulate_campaign, simulate_run
 from balance_cli.simulation.noise import NO_NOISE, Noise
-from balance_cli.simulation.plans import (
-    CampaignPlan,
-    RotorPlan,
-    StaticPlan,
-    SweepPlan,
-    ZeroPlan,
-    campaign_plan,
-    short_plan,
-    standard_plan,
-)
+from balance_cli.simulation.plans import CampaignPlan, RotorPlan, StaticPlan, SweepPlan, ZeroPlan
+from balance_cli.simulation.preset_plans import campaign_plan, short_plan, standard_plan
 from balance_cli.simulation.rig import TrueRig, draw_rig, true_rig
 from balance_cli.simulation.truth import RunTruth
 

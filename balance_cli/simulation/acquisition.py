@@ -9,14 +9,18 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.additions import FORCE, LoadPoints, MemoryAdditions, RunAdditions
+from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.declared_values import Vector
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.filters import anti_alias
 from balance_cli.simulation.load_signals import Grid, rotor_kinematics
 from balance_cli.simulation.noise import Noise
-from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
+from balance_cli.simulation.plans import AnyPlan, ForcePoint, RotorPlan, SampledPlan, StaticPlan, SweepPlan
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.sensors import sensor_volts
 from balance_cli.simulation.truth import RunTruth, random_stream
@@ -128,17 +132,31 @@ def record_samples(
     noisy = volts + sigma * rng.standard_normal(volts.shape)
     applied = np.any(commanded_loads != 0, axis=0)
     read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)
-    converted = noise.quantize(_clip_to_range(noisy, geometry.channels))
-    run = _make_run(
-        rig,
-        plan,
-        noise.to_file_precision(converted),
-        noise.to_file_precision(read) if plan.kind in KINDS_WITH_LOADS else None,
-    )
+    converted = noise.to_file_precision(noise.quantize(_clip_to_range(noisy, geometry.channels)))
+    if isinstance(plan, SweepPlan) and plan.point is not None:
+        force = noise.to_file_precision(_force_at_point(plan.point, recorded, geometry.hub, noise.load, rng))
+        run = _run_with_point(rig, plan, converted, plan.point, force)
+    else:
+        has_loads = plan.kind in KINDS_WITH_LOADS
+        run = _make_run(rig, plan, converted, noise.to_file_precision(read) if has_loads else None)
     true = true_loads(rig, commanded_loads, plan.kind)[:: grid.oversampling][: grid.samples]
     truth = RunTruth(plan.run, plan.kind, grid.time, true, recorded, volts)
     run, truth = _add_plan_metadata(run, truth, plan)
     return _add_digest(run), truth
+
+
+def _force_at_point(point: ForcePoint, loads: Array, hub: Vector, noise: float, rng: np.random.Generator) -> Array:
+    """The reading (n, 1) of the force cell at a point, from the hub loads (n, 6) that it makes."""
+    wrench = point.wrench(hub)
+    column = COMPONENTS.index(point.component)
+    return np.asarray(loads[:, [column]] / wrench[column] + noise * rng.standard_normal((len(loads), 1)))
+
+
+def _run_with_point(rig: TrueRig, plan: SweepPlan, channels: Array, point: ForcePoint, force: Array) -> Run:
+    """A run whose loads are the `force` (n, 1) at a point."""
+    places = LoadPoints((point.name,), np.array([point.direction]), np.array([point.position]))
+    additions = RunAdditions(places, source=MemoryAdditions({FORCE: force}))
+    return with_hub_loads(replace(_make_run(rig, plan, channels, None), additions=additions), rig.geometry)
 
 
 def _add_plan_metadata(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:

@@ -23,7 +23,8 @@ from balance_cli.simulation.load_signals import (
 )
 from balance_cli.simulation.motion import RigDynamics, nonlinear_forces
 from balance_cli.simulation.noise import Noise
-from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan, campaign_plan
+from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan
+from balance_cli.simulation.preset_plans import campaign_plan
 from balance_cli.simulation.response import state_matrix
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.statics import static_forces, static_load_points
@@ -85,7 +86,7 @@ def _check_memory(rig: TrueRig, motion: RigDynamics, plans: Sequence[SampledPlan
 
 def _run_loads(rig: TrueRig, plan: SampledPlan, grid: Grid, acquisition: RecordingSetup) -> tuple[Array, Array]:
     """Commanded and true loads (n, 6) of a run; they are computed when needed, not stored."""
-    commanded_loads = planned_loads(plan, grid, acquisition.random_stream(plan, "loads"))
+    commanded_loads = planned_loads(plan, grid, acquisition.random_stream(plan, "loads"), rig.geometry.hub)
     return commanded_loads, true_loads(rig, commanded_loads, plan.kind)
 
 

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.simulation.line_phases import crest_factor, low_crest_phases, schroeder_phases
+
 Array = NDArray[np.float64]
 Band = tuple[float, float]
+Power = tuple[tuple[float, float], ...]
+
+HIT_DELAY = 0.1
+"""Start of a hit over the time between two: a record begins at rest, and its force window needs samples before."""
 
 
-def _line_numbers(band: Band, resolution: float) -> NDArray[np.int_]:
+def _line_numbers(band: Band, resolution: float) -> NDArray[np.intp]:
     """Numbers of the lines at multiples of `resolution` within the band, its ends included."""
     first = max(1, int(np.ceil(band[0] / resolution - 1e-9)))
     return np.arange(first, int(np.floor(band[1] / resolution + 1e-9)) + 1)
 
 
-def _synthesize(numbers: NDArray[np.int_], amplitudes: NDArray[np.complex128], base: float, time: Array) -> Array:
+def _synthesize(numbers: NDArray[np.intp], amplitudes: NDArray[np.complex128], base: float, time: Array) -> Array:
     """`Re sum_k a_k exp(j 2 pi k base t)`: by inverse FFT over one period where the period fits the grid."""
     step = time[1] - time[0]
     count = round(1 / (base * step))
@@ -29,18 +37,27 @@ def _synthesize(numbers: NDArray[np.int_], amplitudes: NDArray[np.complex128], b
     return signal
 
 
-def schroeder_phases(count: int) -> Array:
-    """Phases (count,) [rad] of equal lines with a small peak: -pi k (k - 1) / count for line k = 1, 2 ...
+@dataclass(frozen=True)
+class MultisineLines:
+    """Lines of a multisine with the base frequency `base` [Hz]: their `numbers`, `amplitude` and `phase` (k,) [rad]."""
 
-    M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85. The peak of the sum is less than twice its rms, that of
-    random phases three to four times.
-    """
-    k = np.arange(1.0, count + 1.0)
-    return np.asarray(-np.pi * k * (k - 1.0) / count)
+    base: float
+    numbers: NDArray[np.intp]
+    amplitude: Array
+    phase: Array
+
+    @property
+    def frequency(self) -> Array:
+        """Frequency (k,) [Hz] of each line."""
+        return np.asarray(self.base * self.numbers)
+
+    @property
+    def crest_factor(self) -> float:
+        """Peak over rms of the signal."""
+        return crest_factor(self.numbers, self.amplitude**2, self.phase)
 
 
-def multisine(
-    time: Array,
+def multisine_lines(
     period: float,
     band: Band,
     level: float,
@@ -48,16 +65,54 @@ def multisine(
     every: int = 1,
     shift: int = 0,
     phases: str = "random",
-) -> Array:
-    """Multisine (n,) with equal amplitudes and rms `level`, repeating every `period` s.
+    power: Power | None = None,
+) -> MultisineLines:
+    """Lines of a multisine of rms `level` that repeats every `period` s.
 
-    Its lines are the multiples of 1/period within `band` [Hz]; of these every `every`-th, starting with `shift`
-    (with interleaved lines several components can be excited at once). `phases`: `random` or `schroeder`.
+    They are the multiples of 1/period within `band` [Hz]; of these every `every`-th, starting with `shift`
+    (with interleaved lines several components can be excited at once). `phases`: `random`, `schroeder` or `low-crest`.
+    `power`: relative power of a line from each frequency [Hz] on; without it all amplitudes are equal.
     """
     numbers = _line_numbers(band, 1 / period)[shift::every]
-    angles = schroeder_phases(len(numbers)) if phases == "schroeder" else 2 * np.pi * rng.random(len(numbers))
-    phases_of_lines = np.exp(1j * angles)
-    return _synthesize(numbers, level * np.sqrt(2 / len(numbers)) * phases_of_lines, 1 / period, time)
+    share = line_power(numbers / period, power)
+    if phases == "random":
+        angles = 2 * np.pi * rng.random(len(numbers))
+    else:
+        angles = schroeder_phases(share) if phases == "schroeder" else low_crest_phases(numbers, share)
+    return MultisineLines(1 / period, numbers, level * np.sqrt(2 * share / share.sum()), angles)
+
+
+def line_power(frequency: Array, power: Power | None) -> Array:
+    """Relative power (k,) of lines at `frequency` (k,) [Hz]; below the first frequency of `power` it is that there."""
+    if power is None:
+        return np.ones(len(frequency))
+    edges, values = np.array(power, float).T
+    place = np.searchsorted(edges, frequency + 1e-9 * frequency, side="right") - 1
+    return np.asarray(values[np.maximum(place, 0)])
+
+
+def multisine(lines: MultisineLines, time: Array) -> Array:
+    """The multisine (n,) of these lines at `time` (n,) [s]."""
+    return _synthesize(lines.numbers, lines.amplitude * np.exp(1j * lines.phase), lines.base, time)
+
+
+def half_sine_hits(time: Array, period: float, contact: float, level: float, band: Band) -> Array:
+    """Hits (n,) of a hammer of rms `level`: half sines of `contact` s, one in each `period` s, after a tenth of it.
+
+    The force is band-limited: up to the first frequency of `band` [Hz] as it is, none from the second one on.
+    """
+    numbers = np.arange(1, int(band[1] * period) + 1)
+    frequency = numbers / period
+    fall = np.clip((frequency - band[0]) / (band[1] - band[0]), 0.0, 1.0)
+    # Transform of a half sine about its middle; the limit at f = 1 / (2 contact) is pi / 4.
+    x = 2.0 * frequency * contact
+    smooth = np.abs(x - 1.0) < 1e-6
+    shape = np.where(smooth, np.pi / 4.0, np.cos(np.pi * x / 2.0) / np.where(smooth, 1.0, 1.0 - x**2))
+    shape = shape * np.cos(0.5 * np.pi * fall) ** 2
+    middle = HIT_DELAY * period + 0.5 * contact
+    amplitudes = shape * np.exp(-2j * np.pi * frequency * middle)
+    wave = 0.5 + _synthesize(numbers, amplitudes, 1 / period, time)
+    return np.asarray(wave * level / np.sqrt(0.25 + 0.5 * np.sum(shape**2)))
 
 
 def random_noise(time: Array, band: Band, level: float, rng: np.random.Generator) -> Array:

@@ -1,4 +1,4 @@
-"""Plans of simulated campaigns: the kinds of runs, and two predefined campaigns."""
+"""Plans of simulated campaigns: the kinds of runs."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive
+from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive, Vector
 from balance_cli.simulation.noise import DeclaredNoise
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
-Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]
-Phases = Literal["random", "schroeder"]
+Excitation = Literal["multisine", "random", "sine-sweep", "stepped", "impact"]
+Phases = Literal["random", "schroeder", "low-crest"]
 LoadValues = Mapping[Component, float]
 assert get_args(Component) == COMPONENTS
 
 HARMONICS = 8
-HARMONIC_SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
-"""Amplitudes of harmonics 1 to 8 relative to the first, similar to the recorded check runs (four blades)."""
 MOST_SAMPLES = 2_000_000
 """Of a simulated record of any rig: forty minutes at 800 Hz. `campaign.MOST_MEMORY` allows fewer on most rigs."""
+LONGEST_CONTACT = 0.05
+"""Of a hit of a hammer over the time between two: what is longer is no impact."""
 MOST_STEPS = 10_000
 """Of a static run, of each component."""
 
@@ -92,12 +93,38 @@ class ZeroPlan(RecordPlan):
         return self
 
 
+class ForcePoint(FrozenModel):
+    """A named point of the metric side beside the hub at which one force acts: `position` [m] and `direction`."""
+
+    name: Name
+    position: Vector
+    direction: Vector
+
+    @model_validator(mode="after")
+    def _check(self) -> ForcePoint:
+        if not any(self.direction):
+            raise ValueError("`direction` has no length")
+        return self
+
+    def wrench(self, hub: Vector) -> NDArray[np.float64]:
+        """Hub loads (6,) per newton of the force."""
+        direction = np.array(self.direction) / np.linalg.norm(self.direction)
+        return np.concatenate([direction, np.cross(np.array(self.position) - np.array(hub), direction)])
+
+    @property
+    def component(self) -> Component:
+        """The force that is driven most."""
+        return get_args(Component)[int(np.argmax(np.abs(self.direction)))]  # type: ignore[no-any-return]
+
+
 class SweepPlan(RecordPlan):
     """Exciters on one or more components; `level` is the rms of each [N, N m], `band` in Hz.
 
     `periods` periods of `period` s. Several components excited at once by multisines get interleaved lines (each its
-    own) or, without `interleaved`, all lines each. Their phases are random, or with `schroeder` those of a small peak.
-    A random excitation has no period, but the same duration.
+    own) or, without `interleaved`, all lines each. Their phases are random, or with `schroeder` and `low-crest` those
+    of a small peak. `power`: relative power of a multisine's line from each frequency [Hz] on. `steady`: mean loads.
+    A random excitation has no period, but the same duration. `impact` is a hammer: a half sine of `contact` s in each
+    period. With a `point` the excitation is one force there, and `excited` the component that it drives most.
     """
 
     kind: Literal["sweep"] = "sweep"
@@ -110,6 +137,10 @@ class SweepPlan(RecordPlan):
     steps: Annotated[int, Field(ge=2)] = 149
     interleaved: bool = True
     phases: Phases = "random"
+    power: Annotated[tuple[tuple[Positive, Positive], ...], Field(min_length=1)] | None = None
+    steady: LoadValues | None = None
+    contact: Positive | None = None
+    point: ForcePoint | None = None
 
     @model_validator(mode="after")
     def _check(self) -> SweepPlan:
@@ -119,13 +150,29 @@ class SweepPlan(RecordPlan):
             raise ValueError("give one `level` for each of `excited`")
         _check_record(self)
         _check_band("band", self.band, self.sample_rate)
-        if self.phases == "schroeder" and len(self.excited) > 1 and not self.interleaved:
-            raise ValueError("with `phases: schroeder` components excited together need `interleaved` lines")
+        if self.phases != "random" and len(self.excited) > 1 and not self.interleaved:
+            raise ValueError(f"with `phases: {self.phases}` components excited together need `interleaved` lines")
+        self._check_excitation()
         if self.period * self.sample_rate < 2.0:
             raise ValueError(f"`period` {self.period:g} s is shorter than two samples")
         if self.excitation == "multisine" and self._lines < len(self.excited):
             raise ValueError(f"`band` holds {self._lines} multiples of 1/`period`, fewer than components `excited`")
         return self
+
+    def _check_excitation(self) -> None:
+        """Raise ValueError where settings do not belong to the excitation."""
+        if self.power is not None:
+            edges = [edge for edge, _ in self.power]
+            if self.excitation != "multisine" or edges != sorted(set(edges)):
+                raise ValueError("`power` is that of a multisine, and its frequencies should rise")
+        if (self.excitation == "impact") != (self.contact is not None):
+            raise ValueError("`contact` [s] belongs to `excitation: impact`, and to nothing else")
+        if self.contact is not None and self.contact > LONGEST_CONTACT * self.period:
+            raise ValueError(f"`contact` {self.contact:g} s is more than a twentieth of the time between two hits")
+        if self.point is not None and self.steady:
+            raise ValueError("`steady` loads act at the hub: give them without a `point`")
+        if self.point is not None and (len(self.excited) > 1 or self.excited[0] != self.point.component):
+            raise ValueError(f"with this `point`, `excited` is {self.point.component}: what the force drives most")
 
     @property
     def _lines(self) -> int:
@@ -205,96 +252,3 @@ class CampaignPlan(FrozenModel):
     def select_runs(self, names: Sequence[str]) -> CampaignPlan:
         """Only the runs of these names."""
         return self.model_copy(update={"runs": tuple(plan for plan in self.runs if plan.run in names)})
-
-
-STATIC_LOAD_LIMITS: dict[Component, float] = dict(
-    zip(get_args(Component), (800.0, 800.0, 3500.0, 400.0, 400.0, 450.0), strict=True)
-)
-HIGH_SWEEP_LEVELS: dict[Component, float] = dict(
-    zip(get_args(Component), (40.0, 40.0, 80.0, 15.0, 15.0, 12.0), strict=True)
-)
-FIRST_HARMONIC_AMPLITUDES: dict[Component, float] = dict(
-    zip(get_args(Component), (33.0, 30.0, 60.0, 8.0, 15.0, 8.0), strict=True)
-)
-WIND_ON_LOADS: dict[Component, float] = {"Fx": 100.0, "Fy": -55.0, "Fz": 2700.0, "Mx": 90.0, "My": -20.0, "Mz": 275.0}
-
-
-def blade_loads(*components: Component) -> dict[Component, tuple[float, ...]]:
-    """Amplitudes of harmonics 1 to 8 of the given components, similar to the recorded check runs."""
-    return {
-        name: tuple(float(x) for x in FIRST_HARMONIC_AMPLITUDES[name] * np.array(HARMONIC_SHAPE)) for name in components
-    }
-
-
-def static_plans() -> tuple[StaticPlan, ...]:
-    """The two static runs: about the unloaded rig, and about lift and torque with 0.35 of the range."""
-    small = {name: 0.35 * largest for name, largest in STATIC_LOAD_LIMITS.items()}
-    return (
-        StaticPlan(run="static-bare", largest=STATIC_LOAD_LIMITS),
-        StaticPlan(run="static-trim", trim="trim", trim_loads={"Fz": 2500.0, "Mz": 250.0}, largest=small),
-    )
-
-
-def standard_plan(rotor_speed: float = 17.5) -> CampaignPlan:
-    """The recorded campaign: two static runs, twelve sweeps at two levels, three checks and three wind-on runs."""
-    sweeps = tuple(
-        SweepPlan(run=f"sweep-{name}-{label}", excited=(name,), level=(factor * level,))
-        for name, level in HIGH_SWEEP_LEVELS.items()
-        for label, factor in (("high", 1.0), ("low", 0.4))
-    )
-    pairs: tuple[tuple[float, Component, Component], ...] = (
-        (0.97, "Fz", "My"),
-        (1.02, "Fx", "Mx"),
-        (1.0, "Fy", "Mz"),
-    )
-    checks = tuple(
-        RotorPlan(run=f"check-{i}", rotor_speed=factor * rotor_speed, harmonics=blade_loads(first, second))
-        for i, (factor, first, second) in enumerate(pairs, 1)
-    )
-    return CampaignPlan(runs=(*static_plans(), *sweeps, *checks, *_wind_plans(rotor_speed)))
-
-
-def _wind_plans(rotor_speed: float) -> tuple[RotorPlan, ...]:
-    collective = LoadStep(time=12.0, loads={"Fz": 700.0, "Mz": 60.0})
-    settings = ((1.0, 0.004, None), (0.985, 0.004, None), (1.015, 0.03, collective))
-    return tuple(
-        RotorPlan(
-            run=f"wind-{i}",
-            kind="wind",
-            rotor_speed=factor * rotor_speed,
-            duration=30.0,
-            harmonics=blade_loads(*get_args(Component)),
-            steady=WIND_ON_LOADS,
-            drift=drift,
-            step=step,
-        )
-        for i, (factor, drift, step) in enumerate(settings, 1)
-    )
-
-
-def short_plan(rotor_speed: float = 17.5) -> CampaignPlan:
-    """A small campaign for tests: the static runs in two steps, six sweeps of 4 periods of 2 s, a check, a wind."""
-    sweeps = tuple(
-        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=2.0, periods=4)
-        for name, level in HIGH_SWEEP_LEVELS.items()
-    )
-    bare, trim = (plan.model_copy(update={"steps": 2}) for plan in static_plans())
-    every = get_args(Component)
-    check = RotorPlan(run="check-1", rotor_speed=rotor_speed, duration=8.0, harmonics=blade_loads("Fz", "My"))
-    wind = RotorPlan(
-        run="wind-1",
-        kind="wind",
-        rotor_speed=rotor_speed,
-        duration=8.0,
-        harmonics=blade_loads(*every),
-        steady=WIND_ON_LOADS,
-    )
-    return CampaignPlan(runs=(bare, trim, *sweeps, check, wind))
-
-
-PRESETS = {"standard": standard_plan, "short": short_plan}
-
-
-def campaign_plan(name: str, rotor_speed: float = 17.5) -> CampaignPlan:
-    """A campaign ready made: `standard` or `short`, at the rotor's nominal speed [Hz]. Raises KeyError."""
-    return PRESETS[name](rotor_speed)

@@ -14,7 +14,7 @@ from balance_cli.cli import balance
 from balance_cli.diagnosis.consistency.findings import CHANNEL_FACTOR, DIFFERENT_RIG, FREQUENCIES, HUB_POSITION
 from balance_cli.diagnosis.consistency.severity import contradicts_loads
 from balance_cli.simulation import CampaignPlan, Noise, RotorPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
 from tests.support.rigs import rotor_balance
 
 

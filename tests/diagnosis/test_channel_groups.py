@@ -21,7 +21,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from tests.support.other_rigs import other_rig
 from tests.support.rigs import rotor_balance

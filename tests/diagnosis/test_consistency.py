@@ -16,7 +16,8 @@ from balance_cli.diagnosis.consistency.findings import ANTI_ALIAS, FAULT, HUB_PO
 from balance_cli.diagnosis.consistency.severity import findings_for_command, identified_anyway, measured_anyway
 from balance_cli.diagnosis.consistency.units import MOMENT_UNITS, suggest_units
 from balance_cli.simulation import CampaignPlan, Noise, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, STATIC_LOAD_LIMITS, StaticPlan
+from balance_cli.simulation.plans import StaticPlan
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, STATIC_LOAD_LIMITS
 from studies.consistency import (
     change_geometry,
     every,

@@ -34,7 +34,7 @@ from balance_cli.model.effects import EFFECTS
 from balance_cli.model.effects.dry_friction import LEAST_FORCE_SHARE, STIFFNESS_BOUNDS
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import IdentifyOptions, identify

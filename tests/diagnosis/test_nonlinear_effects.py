@@ -19,7 +19,7 @@ from balance_cli.reduction.model_sources import model_source
 from balance_cli.signals.sampled_waveform import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
-from balance_cli.simulation.plans import HARMONIC_SHAPE
+from balance_cli.simulation.preset_plans import HARMONIC_SHAPE
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identified_effects, identify

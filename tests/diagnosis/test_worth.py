@@ -16,7 +16,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.model.system_response import response, solve
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from tests.support.diagnosis_content import delay_effect
 from tests.support.rigs import rotor_balance

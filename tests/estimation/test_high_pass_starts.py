@@ -15,7 +15,8 @@ from balance_cli.model.placed_effects import add_effects
 from balance_cli.model.transient_modes import transient_modes
 from balance_cli.signals.waveform_types import AnalysisWindow
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.plans import CampaignPlan, short_plan
+from balance_cli.simulation.plans import CampaignPlan
+from balance_cli.simulation.preset_plans import short_plan
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.identify import identify
 from tests.support.rigs import rotor_balance

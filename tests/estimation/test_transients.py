@@ -17,7 +17,8 @@ from balance_cli.model.transient_modes import divided_differences, transient_mod
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.signals.waveform_types import AnalysisWindow
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
+from balance_cli.simulation.plans import CampaignPlan
+from balance_cli.simulation.preset_plans import short_plan, standard_plan
 from balance_cli.steps.identify import IdentifyOptions, identify
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 from tests.support.truth import response_errors, true_parameters

@@ -31,7 +31,7 @@ from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
 from balance_cli.simulation.rig import apply_effects
 from tests.support.effect_checks import (
     KNOWN_MASS_RIG,

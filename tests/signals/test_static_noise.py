@@ -7,7 +7,7 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.static_noise import second_differences, static_points
 from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
-from balance_cli.simulation.plans import static_plans
+from balance_cli.simulation.preset_plans import static_plans
 from tests.support.rigs import rotor_balance
 
 CHANNELS = ("a", "b", "c", "d")

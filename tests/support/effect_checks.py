@@ -35,7 +35,7 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.steps.identify import identified_effects, identify
 from tests.support.rigs import rotor_balance
 

@@ -12,7 +12,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from tests.support.rigs import rotor_balance
 

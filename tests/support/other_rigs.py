@@ -14,7 +14,8 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_from_dict
 from balance_cli.simulation import CampaignPlan, RotorPlan, StaticPlan, SweepPlan
-from balance_cli.simulation.plans import HARMONIC_SHAPE, ZeroPlan
+from balance_cli.simulation.plans import ZeroPlan
+from balance_cli.simulation.preset_plans import HARMONIC_SHAPE
 from tests.support.rigs import rotor_balance
 
 RIGS = ("A", "B", "C", "D", "E")

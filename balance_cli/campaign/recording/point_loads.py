@@ -46,6 +46,14 @@ def with_hub_loads(run: Run, geometry: Geometry) -> Run:
     return replace(run, source=PointLoadSource(run.source, placed, geometry.hub), has_loads=True)
 
 
+def without_point_loads(run: Run) -> Run:
+    """The run as its file holds it: loads at the hub alone, forces at points beside them."""
+    if not isinstance(run.source, PointLoadSource):
+        return run
+    source = run.source.parent_source
+    return replace(run, source=source, has_loads=source.read(0, min(run.samples, 1)).loads is not None)
+
+
 def _place_by_name(points: LoadPoints, geometry: Geometry) -> LoadPoints:
     if not points.are_named_only:
         return points

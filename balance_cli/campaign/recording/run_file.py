@@ -13,7 +13,7 @@ import numpy as np
 from balance_cli.campaign.recording.additions_file import read_additions, write_additions
 from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.hdf5_source import Hdf5Source
-from balance_cli.campaign.recording.point_loads import load_point_faults, with_hub_loads
+from balance_cli.campaign.recording.point_loads import load_point_faults, with_hub_loads, without_point_loads
 from balance_cli.campaign.recording.reading_units import (
     reading_conversion,
     reading_unit_mismatches,
@@ -215,6 +215,8 @@ def write_run(path: Path, run: Run, blocks: Iterable[SampleBlock] | None = None)
     Samples are stored as float32 where that loses nothing, else as float64. Where their `blocks` are given, they are
     read only once, from there, and stored as float64.
     """
+    if blocks is None:
+        run = without_point_loads(run)
     with atomic_write(Path(path)) as part, Hdf5Output(part) as output:
         file = output.file
         for name, value in _attributes(run).items():
