@@ -31,16 +31,16 @@ from balance_cli.model.balance import balance_model
 from balance_cli.planning.candidate_runs import candidate_runs
 from balance_cli.planning.detectability import DetectionLevel, SmallestSize, project, smallest_sizes
 from balance_cli.planning.hall import Hall
-from balance_cli.planning.information import add_information
+from balance_cli.planning.information import add_information, no_information
 from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
 from balance_cli.simulation.noise import NO_NOISE, Noise
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import identify
-from balance_cli.steps.plan import PlanningRig, planning_rig
+from balance_cli.steps.plan import PlanningRig, PlanOptions, line_powers, planning_rig
 from tests.support.other_rigs import other_rig, short_campaign
 
-REHEARSALS = 2
+REHEARSALS = 4
 LEAST_INFORMED = 0.5
 """Predicted sigma over the declared one, below which a parameter is informed by data, and its sigma compared."""
 RIG, EXCITED = "A", ("Fx", "Fz", "My")
@@ -86,9 +86,10 @@ class Forecast:
 @lru_cache
 def forecast() -> Forecast:
     """The plan and its forecast, the same for all campaigns."""
-    geometry = other_rig(RIG)
-    base = planning_rig(geometry, _hall())
-    runs = candidate_runs(geometry, _hall(), base.settings, base.limits)
+    geometry, options = other_rig(RIG), PlanOptions(minutes=60.0, hall=_hall())
+    base = planning_rig(geometry, options.hall)
+    powers = line_powers(base, options, no_information(base.model))
+    runs = candidate_runs(geometry, options.hall, base.settings, base.model.system, powers)
     information = [base.information(item.plan, range(1000, 1000 + REHEARSALS)) for item in runs]
     projected = project(add_information(information, base.model), base.model)
     names = np.array(base.model.model.parameters.names)[base.model.model.parameters.free][base.model.indices.fitted]

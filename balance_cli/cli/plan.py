@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
 
 MOST_MINUTES = 1e5
 """Hall time that can be planned: ten weeks, day and night."""
+
+
+@dataclass(frozen=True)
+class PlanFiles:
+    """The files that a plan is written to."""
+
+    plan: Path
+    sheets: Path | None
+    lines: Path | None
 
 
 @balance_command("plan")
@@ -54,6 +64,18 @@ MOST_MINUTES = 1e5
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the rehearsals.")
 @click.option("--sheets", type=OutputFile(), metavar="FILE", help="Also write a sheet for each run, in Markdown.")
+@click.option(
+    "--lines",
+    type=OutputFile(),
+    metavar="FILE",
+    help="Also write amplitude and phase of every line of the multisines, as CSV for the signal generator.",
+)
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0, min_open=True, max=1e6),
+    metavar="SECONDS",
+    help="Finish with the best plan of the runs that were tried in so many seconds of computing.",
+)
 @click.option(
     "--compare",
     type=InputFile(),
@@ -89,6 +111,8 @@ def command(
     level: float,
     seed: int,
     sheets: Path | None,
+    lines: Path | None,
+    time_limit: float | None,
     compare: Path | None,
     points: int | None,
     terms: TermSet,
@@ -113,13 +137,13 @@ def command(
     _check_call(minutes, sheets, compare, output)
     rig = session.geometry(geometry)
     model, records = _read_files(session, files, rig, skip_bad)
-    options = PlanOptions(minutes or 0.0, aim, DetectionLevel(level), _read_hall(session, hall), seed)
+    options = PlanOptions(minutes or 0.0, aim, DetectionLevel(level), _read_hall(session, hall), seed, time_limit)
     try:
         spectra = _spectra(session, records, model.geometry if model else rig)
         if compare is not None:
             _compare(session, rig, compare, options, spectra, model)
         elif output is not None:
-            _plan(session, rig, options, spectra, model, output, sheets)
+            _plan(session, rig, options, spectra, model, PlanFiles(output, sheets, lines))
     except UserError as error:
         raise error.with_location(str(hall or geometry)) from error
 
@@ -149,17 +173,18 @@ def _plan(
     options: PlanOptions,
     spectra: Spectra,
     model: IdentifiedModel | None,
-    output: Path,
-    sheets: Path | None,
+    files: PlanFiles,
 ) -> None:
     from balance_cli.cli.plan_text import plan_file_text, plan_summary, plan_text
-    from balance_cli.planning.sheets import sheets_text
+    from balance_cli.planning.sheets import lines_table, sheets_text
     from balance_cli.steps.plan import plan_campaign
 
     planned = plan_campaign(rig, options, model, spectra, lambda runs, text, n: session.progress(runs, text, n))
-    session.write_text(output, plan_file_text(planned))
-    if sheets is not None:
-        session.write_text(sheets, sheets_text(planned))
+    session.write_text(files.plan, plan_file_text(planned))
+    if files.sheets is not None:
+        session.write_text(files.sheets, sheets_text(planned))
+    if files.lines is not None:
+        session.write_text(files.lines, lines_table(planned))
     session.finish(plan_summary(planned), plan_text(planned))
 
 

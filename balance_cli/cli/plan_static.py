@@ -13,6 +13,7 @@ from balance_cli.planning.choices import TermSet
 
 if TYPE_CHECKING:
     from balance_cli.planning.static_schedule import ScheduleDesign, StaticSchedule
+    from balance_cli.simulation.plans import Component
 
 SAVED_DIGITS = 6
 """Significant digits of a load in the plan: a weight is known to fewer."""
@@ -31,19 +32,16 @@ def plan_static(
     session.finish(_summary(schedule), _text(schedule))
 
 
-def _largest_loads(session: Session, geometry: Path, hall: Path | None) -> Mapping[str, float]:
-    """The largest loads: of the hall, else the rated ones. Raises UserError where neither states any."""
-    from balance_cli.campaign.rig.components import COMPONENTS
+def _largest_loads(session: Session, geometry: Path, hall: Path | None) -> Mapping[Component, float]:
+    """The largest loads. Raises UserError where neither hall nor geometry states any."""
+    from balance_cli.planning.hall import static_load_limits
     from balance_cli.planning.hall_file import load_hall
 
     rig = session.geometry(geometry, mechanics=False)
-    of_hall = load_hall(hall).static_loads if hall is not None else None
-    stated: dict[str, float] = dict((of_hall or rig.rated_loads or {}).items())
-    largest = {name: stated[name] for name in COMPONENTS if name in stated}
-    if not largest:
-        fault = "neither `static_loads` of the hall nor `rated_loads` of the geometry state the largest loads"
-        raise UserError(fault, str(hall or geometry), remedy="Add `static_loads: {Fx: ...}` to the hall file")
-    return largest
+    try:
+        return static_load_limits(rig, load_hall(hall) if hall is not None else None)
+    except UserError as error:
+        raise error.with_location(str(hall or geometry)) from error
 
 
 def _file_text(schedule: StaticSchedule) -> str:

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 
 MOST_LISTED = 10
 """Confused pairs and ranked runs that the text lists; the JSON has all."""
+RUN_KEYS = (
+    *("run", "kind", "excited", "level", "excitation", "band", "period", "periods", "sample_rate", "rotor_speed"),
+    *("power", "steady", "point", "contact", "trim", "trim_loads", "largest", "steps"),
+)
+"""Settings of a run in the summary."""
 SAVED_DIGITS = 6
 """Significant digits of a forecast in the plan."""
 
@@ -58,6 +63,7 @@ def plan_summary(planned: PlannedCampaign) -> dict[str, Any]:
     """Return the JSON keys of docs/json.md."""
     return {
         "minutes": planned.minutes,
+        "complete": planned.complete,
         "made": planned.made,
         "noise": planned.noise_source,
         "level": planned.detection.level,
@@ -78,8 +84,8 @@ def plan_summary(planned: PlannedCampaign) -> dict[str, Any]:
 
 
 def _run_summary(item: CandidateRun) -> dict[str, Any]:
-    keys = ("run", "excited", "level", "excitation", "band", "period", "periods", "sample_rate", "rotor_speed")
-    return {**{key: getattr(item.plan, key) for key in keys}, "minutes": item.minutes}
+    settings = item.plan.model_dump(mode="json", exclude_none=True)
+    return {**{key: value for key, value in settings.items() if key in RUN_KEYS}, "minutes": item.minutes}
 
 
 def _effect_summary(item: DetectableEffect) -> dict[str, Any]:
@@ -121,6 +127,8 @@ def _load_summary(loads: LoadSigma) -> dict[str, Any]:
 def plan_text(planned: PlannedCampaign) -> Iterator[str]:
     """Yield the lines of the console summary."""
     yield f"{len(planned.chosen)} runs in {planned.minutes:.1f} minutes; noise {planned.noise_source}"
+    if not planned.complete:
+        yield "the time limit came first: not all runs that the hall allows were tried"
     if planned.made:
         yield f"already made: {', '.join(planned.made)}"
     yield "Largest level of each component:"
@@ -133,12 +141,14 @@ def plan_text(planned: PlannedCampaign) -> Iterator[str]:
 
 
 def _runs_text(planned: PlannedCampaign) -> Iterator[str]:
+    from balance_cli.planning.run_words import condition_words, excitation_words, level_words, record_words
+
     yield "Runs, in this order:"
     for i, item in enumerate(planned.chosen):
         plan = item.plan
-        level = ", ".join(f"{value:.3g}" for value in plan.level)
         part = "" if planned.loads is None else f"  parameters' part of load sigma x {planned.loads.by_run[i]:.3g}"
-        yield f"   {plan.run:<28} {'+'.join(plan.excited):<6} {level:>8} rms {plan.duration:6.0f} s{part}"
+        words = f"{excitation_words(plan):<10} {level_words(plan):>12} {condition_words(plan)} {record_words(plan):>9}"
+        yield f"   {plan.run:<28} {words}{part}"
 
 
 def _effects_text(planned: PlannedCampaign) -> Iterator[str]:

@@ -1,75 +1,82 @@
-"""The runs from which a plan is chosen, at levels that exciters, cells and channels can bear."""
+"""The runs from which a plan is chosen: sweeps, hits of a hammer and static runs."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.system import System
-from balance_cli.model.system_response import response, solve
-from balance_cli.planning.hall import Hall, RecordSettings, excitable_components
-from balance_cli.simulation.excitation import multisine
-from balance_cli.simulation.load_signals import OVERSAMPLING
-from balance_cli.simulation.plans import Component, Excitation, SweepPlan
+from balance_cli.planning.hall import (
+    Hall,
+    RecordSettings,
+    excitable_components,
+    hammer_points,
+    hit_contact,
+    hit_period,
+    static_load_limits,
+)
+from balance_cli.planning.levels import hit_level, level_limits
+from balance_cli.simulation.excitation import Power
+from balance_cli.simulation.plans import Component, Excitation, LoadValues, StaticPlan, SweepPlan
+from balance_cli.simulation.statics import static_load_points
 
-Array = NDArray[np.float64]
-
-CREST_FACTOR = 4.0
-"""Peak over rms of a signal of many lines with random phases: exceeded by one period of 600 lines in 25.
-
-It is that of cells and channels, too: their resonances mix the phases of any excitation."""
-LINES = 2000
-"""Frequencies at which the response is summed for the level: several in the width of a mode of damping ratio 0.005."""
 MOST_CANDIDATES = 400
 """Runs that are rehearsed: each takes a second or two."""
+STATIC_STEPS = 2
+"""Steps of each load of a static run, up and down through zero: the loads tell most at their largest."""
 
 
 @dataclass(frozen=True)
 class CandidateRun:
-    """A sweep that could be made: its plan, the `minutes` of its record, and what must be set up for it."""
+    """A run that could be made: its plan, the `minutes` of its record, and what must be set up for it."""
 
-    plan: SweepPlan
+    plan: SweepPlan | StaticPlan
     minutes: float
 
     @property
-    def setup(self) -> tuple[tuple[str, ...], float]:
-        """Components excited and rotor speed: another set-up takes time to change to."""
-        return self.plan.excited, self.plan.rotor_speed
+    def setup(self) -> tuple[object, ...]:
+        """Components excited, point, rotor speed and mean loads: another set-up takes time to change to."""
+        if isinstance(self.plan, StaticPlan):
+            return ("static", self.plan.trim)
+        point = self.plan.point.name if self.plan.point else ""
+        return self.plan.excited, point, self.plan.rotor_speed, tuple(sorted((self.plan.steady or {}).items()))
 
 
 @dataclass(frozen=True)
-class LevelLimit:
-    """The largest rms level [N, N m] of one component alone, and what limits it."""
+class SweepChoice:
+    """What is chosen of a sweep; `largest` levels of its components alone, `power` of their lines."""
 
-    component: Component
-    level: float
-    reason: str
+    excited: tuple[Component, ...]
+    speed: float
+    steady: LoadValues
+    band: tuple[float, float]
+    excitation: Excitation
+    share: float
+    periods: int
+    largest: Mapping[Component, float]
+    power: Power | None
 
 
 def candidate_runs(
-    geometry: Geometry, hall: Hall, settings: RecordSettings, limits: Sequence[LevelLimit]
+    geometry: Geometry,
+    hall: Hall,
+    settings: RecordSettings,
+    system: System,
+    powers: Mapping[Component, Power] | None = None,
 ) -> tuple[CandidateRun, ...]:
-    """All sweeps that the hall allows: components, excitation, band, level, periods and rotor speed.
+    """All runs that the hall allows: sweeps, hits at points, and static runs.
 
-    Components that are excited together share the cells' range equally. Raises UserError where there are too many.
+    `powers`: relative power of the lines of a component that is excited alone. Components that are excited together
+    share the cells' range equally. Raises UserError where there are too many.
     """
-    largest = {limit.component: limit.level for limit in limits}
-    runs = tuple(
-        _candidate(excited, speed, band, excitation, share, periods, settings, largest, hall)
-        for excited in component_sets(geometry, hall)
-        for speed in hall.rotor_speeds
-        for band in (settings.band, *hall.bands)
-        for excitation in hall.excitations
-        for share in hall.levels
-        for periods in hall.periods
+    choices = tuple(_sweep_choices(geometry, hall, settings, system, powers or {}))
+    sweeps = (
+        CandidateRun(plan, plan.duration / 60.0 + hall.overhead_minutes) for plan in _sweeps(choices, hall, settings)
     )
+    runs = (*sweeps, *_hammer_runs(geometry, hall, settings, system), *_static_runs(geometry, hall))
     if len(runs) > MOST_CANDIDATES:
         fault = f"{len(runs)} runs to choose from, more than {MOST_CANDIDATES}"
         raise UserError(fault, place="levels, periods, bands", remedy="Give fewer values to choose from")
@@ -86,99 +93,102 @@ def component_sets(geometry: Geometry, hall: Hall) -> Iterator[tuple[Component, 
         yield from itertools.combinations(names, count)
 
 
-def _candidate(
-    excited: tuple[Component, ...],
-    speed: float,
-    band: tuple[float, float],
-    excitation: Excitation,
-    share: float,
-    periods: int,
-    settings: RecordSettings,
-    largest: dict[Component, float],
-    hall: Hall,
-) -> CandidateRun:
-    level = tuple(share * largest[name] / len(excited) for name in excited)
-    words = ["+".join(excited), f"{100 * share:g}", f"{periods}p"]
-    words += [f"{speed:g}Hz"] if speed else []
-    words += [f"{band[0]:g}-{band[1]:g}"] if band != settings.band else []
-    words += [excitation] if excitation != "multisine" else []
-    plan = SweepPlan(
-        run="-".join(words),
-        excited=excited,
-        level=level,
-        excitation=excitation,
-        band=band,
-        period=settings.period,
-        periods=periods,
-        sample_rate=settings.sample_rate,
-        rotor_speed=speed,
-        phases=hall.phases if excitation == "multisine" else "random",
-    )
-    return CandidateRun(plan, plan.duration / 60.0 + hall.overhead_minutes)
+def _sweep_choices(
+    geometry: Geometry, hall: Hall, settings: RecordSettings, system: System, powers: Mapping[Component, Power]
+) -> Iterator[SweepChoice]:
+    for trim in hall.trims:
+        flat, shaped = (
+            {limit.component: limit.level for limit in level_limits(geometry, hall, settings, system, each, trim)}
+            for each in ({}, powers)
+        )
+        for excited, speed, band, excitation, share, periods in itertools.product(
+            component_sets(geometry, hall),
+            hall.rotor_speeds,
+            (settings.band, *hall.bands),
+            hall.excitations,
+            hall.levels,
+            hall.periods,
+        ):
+            # Where the band is another one, the limits of the shaped power do not hold.
+            has_power = len(excited) == 1 and excitation == "multisine" and band == settings.band
+            power = powers.get(excited[0]) if has_power else None
+            largest = shaped if power else flat
+            yield SweepChoice(excited, speed, trim, band, excitation, share, periods, largest, power)
 
 
-def level_limits(geometry: Geometry, hall: Hall, settings: RecordSettings, system: System) -> tuple[LevelLimit, ...]:
-    """The largest level of each component that can be excited, and what limits it."""
-    frequency = np.linspace(*settings.band, LINES)
-    solution = solve(system, frequency)
-    crest = excitation_crest_factor(geometry, hall, settings)
-    volts = np.sqrt(np.mean(np.abs(response(system, solution)) ** 2, axis=0))
-    forces = np.sqrt(np.mean(np.abs(solution.forces) ** 2, axis=0))[: len(geometry.cells)]
-    return tuple(
-        min(_limits_of(name, geometry, hall, crest, volts, forces), key=lambda item: item.level)
-        for name in excitable_components(geometry, hall)
-    )
+def _sweeps(choices: tuple[SweepChoice, ...], hall: Hall, settings: RecordSettings) -> Iterator[SweepPlan]:
+    for choice in choices:
+        yield SweepPlan(
+            run="-".join(_words(choice, settings)),
+            excited=choice.excited,
+            level=tuple(choice.share * choice.largest[name] / len(choice.excited) for name in choice.excited),
+            excitation=choice.excitation,
+            band=choice.band,
+            period=settings.period,
+            periods=choice.periods,
+            sample_rate=settings.sample_rate,
+            rotor_speed=choice.speed,
+            phases=hall.phases if choice.excitation == "multisine" else "random",
+            power=choice.power,
+            steady=choice.steady or None,
+        )
 
 
-def excitation_crest_factor(geometry: Geometry, hall: Hall, settings: RecordSettings) -> float:
-    """The largest peak over rms of any excitation that the hall can choose.
-
-    That of a multisine with fixed phases is computed, for each band and each number of components at once.
-    """
-    if hall.phases == "random" or set(hall.excitations) != {"multisine"}:
-        return CREST_FACTOR
-    time = np.arange(round(OVERSAMPLING * settings.period * settings.sample_rate)) / (
-        OVERSAMPLING * settings.sample_rate
-    )
-    counts = {len(names) for names in component_sets(geometry, hall)}
-    rng = np.random.default_rng(0)  # not used by fixed phases
-    waves = [
-        multisine(time, settings.period, band, 1.0, rng, count, shift, hall.phases)
-        for band in (settings.band, *hall.bands)
-        for count in counts
-        for shift in range(count)
-    ]
-    return max(float(np.abs(wave).max()) for wave in waves)
+def _words(choice: SweepChoice, settings: RecordSettings) -> Iterator[str]:
+    """Words of the name of a sweep."""
+    yield "+".join(choice.excited)
+    yield f"{100 * choice.share:g}"
+    yield f"{choice.periods}p"
+    if choice.speed:
+        yield f"{choice.speed:g}Hz"
+    if choice.band != settings.band:
+        yield f"{choice.band[0]:g}-{choice.band[1]:g}"
+    if choice.excitation != "multisine":
+        yield choice.excitation
+    for name, load in choice.steady.items():
+        yield f"at-{name}={load:g}"
 
 
-def _limits_of(
-    name: Component, geometry: Geometry, hall: Hall, crest: float, volts: Array, forces: Array
-) -> Iterator[LevelLimit]:
-    """Every limit of the level of one component; `volts` (c, 6) and `forces` (cells, 6) are rms per unit of level.
-
-    `crest` is the peak over rms of the excitation.
-    """
-    column = COMPONENTS.index(name)
-    exciter = hall.exciters[name] if hall.exciters else None
-    if exciter is not None and exciter.rms is not None:
-        yield LevelLimit(name, exciter.rms, "rms of the exciter")
-    if exciter is not None and exciter.peak is not None:
-        yield LevelLimit(name, exciter.peak / crest, "peak of the exciter")
-    share = min(hall.margin, 1.0 if exciter else hall.cell_share)
-    for cell, force in zip(geometry.cells, forces[:, column], strict=True):
-        if force > 0:
-            yield LevelLimit(name, share * cell.full_range / (CREST_FACTOR * force), f"range of cell {cell.name}")
-    for channel, volt in zip(geometry.channels, volts[:, column], strict=True):
-        if channel.range is not None and volt > 0:
-            limit = hall.margin * channel.range / (CREST_FACTOR * volt)
-            yield LevelLimit(name, limit, f"range of channel {channel.name}")
-    if exciter is None and any(meter.component == name for meter in geometry.shaft_meters):
-        yield from _torque_limit(name, geometry, hall)
+def _hammer_runs(geometry: Geometry, hall: Hall, settings: RecordSettings, system: System) -> Iterator[CandidateRun]:
+    """Hits at each point, as many as the sweeps have periods."""
+    for name, point in hammer_points(hall, geometry).items():
+        contact, period = hit_contact(hall, settings), hit_period(hall, settings)
+        level = hit_level(point, geometry, hall, settings, contact, system)
+        for hits in hall.periods:
+            plan = SweepPlan(
+                run=f"hammer-{name}-{hits}p",
+                excited=(point.component,),
+                level=(level,),
+                excitation="impact",
+                contact=contact,
+                band=settings.band,
+                period=period,
+                periods=hits,
+                sample_rate=settings.sample_rate,
+                point=point,
+            )
+            yield CandidateRun(plan, plan.duration / 60.0 + hall.overhead_minutes)
 
 
-def _torque_limit(name: Component, geometry: Geometry, hall: Hall) -> Iterator[LevelLimit]:
-    """The torque meter has no declared range: its rated load limits it, else the cells' range at the hub's height."""
-    rated = (geometry.rated_loads or {}).get(name)
-    reach = max(float(np.linalg.norm(np.asarray(cell.position)[:2])) for cell in geometry.cells)
-    largest = rated if rated is not None else min(cell.full_range for cell in geometry.cells) * max(reach, 0.1)
-    yield LevelLimit(name, hall.cell_share * largest / CREST_FACTOR, "range of the torque meter, taken from the cells")
+def _static_runs(geometry: Geometry, hall: Hall) -> Iterator[CandidateRun]:
+    """A static run of each mean load, with all components one by one."""
+    if hall.minutes_per_point is None:
+        return
+    largest = static_load_limits(geometry, hall)
+    for trim in hall.trims:
+        words = "-".join(f"{name}={load:g}" for name, load in trim.items())
+        plan = StaticPlan(
+            run=f"static-{words or 'bare'}", trim=words or "bare", trim_loads=trim, largest=largest, steps=STATIC_STEPS
+        )
+        rows = len(static_load_points(plan))
+        yield CandidateRun(plan, rows * hall.minutes_per_point + hall.overhead_minutes)
+
+
+def by_turns(candidates: tuple[CandidateRun, ...]) -> tuple[CandidateRun, ...]:
+    """The candidates in turns: one of each set-up, the first at the largest level and least time, then the next."""
+    turn: dict[tuple[object, ...], int] = {}
+    places = []
+    for item in candidates:
+        places.append(turn.get(item.setup, 0))
+        turn[item.setup] = places[-1] + 1
+    return tuple(item for _, item in sorted(zip(places, candidates, strict=True), key=lambda pair: pair[0]))

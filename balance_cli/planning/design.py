@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from balance_cli.planning.candidate_runs import CandidateRun
 from balance_cli.planning.choices import Aim
+from balance_cli.planning.deadline import NO_DEADLINE, Deadline
 from balance_cli.planning.detectability import remaining_diagonal
 from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.planning.hub_loads import LoadForecast, parameter_sigma, total_sigma
@@ -97,10 +98,12 @@ def effect_worth(diagonal: Array, model: ExtendedModel) -> float:
     return float(np.mean([value[names == name].mean() for name in dict.fromkeys(names)]))
 
 
-def choose_runs(problem: Problem, minutes: float) -> Design:
-    """The runs that teach most in so many minutes; none where none fits."""
+def choose_runs(problem: Problem, minutes: float, deadline: Deadline = NO_DEADLINE) -> Design:
+    """The runs that teach most in so many minutes; none where none fits. After the deadline none is exchanged."""
     chosen = _add_greedily(problem, minutes)
     for _ in range(MOST_PASSES):
+        if deadline.is_over:
+            break
         better = _exchange_once(problem, chosen, minutes)
         better = _add_greedily(problem, minutes, better)
         if better == chosen:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive
-from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive, Vector
+from balance_cli.campaign.rig.geometry import DeclaredLoadPoint, Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.plate import carried_components
 from balance_cli.simulation.noise import DeclaredNoise
-from balance_cli.simulation.plans import MOST_SAMPLES, Component, Excitation, Phases
+from balance_cli.simulation.plans import (
+    LONGEST_CONTACT,
+    MOST_SAMPLES,
+    Component,
+    Excitation,
+    ForcePoint,
+    LoadValues,
+    Phases,
+)
 
 HALL_FORMAT = "balance-hall/1"
 COMPONENT_NAMES: tuple[Component, ...] = get_args(Component)
@@ -38,6 +47,10 @@ BAND_BELOW_CUTOFF = 0.75
 """End of the band over the cutoff of the anti-alias filter."""
 
 
+SHORTEST_HIT_PERIOD = 0.2
+"""[s] between two hits: what comes sooner is a hammer that bounced (`signals.impact.DOUBLE_INTERVAL`)."""
+
+
 class Exciter(FrozenModel):
     """Limits of the exciter of one component: `rms` and `peak` of its force [N] or moment [N m]."""
 
@@ -51,6 +64,31 @@ class Exciter(FrozenModel):
         return self
 
 
+class HammerPoint(FrozenModel):
+    """A point at which a hammer can hit: `position` [m] and `direction` of the force."""
+
+    position: Vector
+    direction: Vector
+
+    @model_validator(mode="after")
+    def _check(self) -> HammerPoint:
+        if not any(self.direction):
+            raise ValueError("`direction` has no length")
+        return self
+
+
+class Hammer(FrozenModel):
+    """A hammer: `peak` [N] and duration (`contact`, s) of its hits, `period` [s] from one hit to the next.
+
+    `points` by name are those at which it can hit; without them the load points of the geometry that have a direction.
+    """
+
+    peak: Positive
+    contact: Positive | None = None
+    period: Annotated[float, Field(ge=SHORTEST_HIT_PERIOD, allow_inf_nan=False)] | None = None
+    points: Annotated[Mapping[Name, HammerPoint], Field(min_length=1)] | None = None
+
+
 class Hall(FrozenModel):
     """Constraints of a test hall.
 
@@ -59,7 +97,9 @@ class Hall(FrozenModel):
     `change_minutes`: time for another set-up (other components, another rotor speed); `overhead_minutes`: time that
     each run takes besides its record. `band` [Hz], `sample_rate` [Hz], `period` [s] and `periods` (numbers of periods
     to choose from) describe the records; `bands` and `excitations` are further choices, `levels` shares of the largest
-    level, `rotor_speeds` [Hz] those at which sweeps can be made; `phases` are those of the multisines. `loads`:
+    level, `rotor_speeds` [Hz] those at which sweeps can be made, `trims` mean loads during a sweep; `phases` are those
+    of the multisines, and `spectrum` says whether their power is put where it tells most. `hammer`: its hits.
+    `minutes_per_point`: time of a load point, with which static runs can be chosen, too. `loads`:
     amplitude [N, N m] of the hub loads for which their sigma counts; `record_seconds`: length of a record with the
     rotor turning. `effects`: names of those that the plan considers, by default all. `static_loads`: largest load of
     each component in a static schedule.
@@ -77,7 +117,11 @@ class Hall(FrozenModel):
     levels: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = (1.0, 0.4)
     rotor_speeds: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0,)
     excitations: Annotated[tuple[Excitation, ...], Field(min_length=1)] = ("multisine",)
-    phases: Phases = "schroeder"
+    trims: Annotated[tuple[LoadValues, ...], Field(min_length=1)] = ({},)
+    phases: Phases = "low-crest"
+    spectrum: Literal["optimal", "flat"] = "optimal"
+    hammer: Hammer | None = None
+    minutes_per_point: Positive | None = None
     bands: tuple[tuple[Positive, Positive], ...] = ()
     cell_share: Annotated[float, Field(gt=0, le=1)] = 0.05
     margin: Annotated[float, Field(gt=0, le=1)] = 0.8
@@ -94,9 +138,11 @@ class Hall(FrozenModel):
         for band in (*self.bands, *([self.band] if self.band else [])):
             if not band[0] < band[1]:
                 raise ValueError(f"a band of {band[0]:g} to {band[1]:g} Hz should rise")
-        for name in ("periods", "levels", "rotor_speeds", "excitations", "bands"):
+        if "impact" in self.excitations:
+            raise ValueError("`impact` is no choice of `excitations`: declare a `hammer`")
+        for name in ("periods", "levels", "rotor_speeds", "excitations", "bands", "trims"):
             values = getattr(self, name)
-            if len(set(values)) < len(values):
+            if len({str(value) for value in values}) < len(values):
                 raise ValueError(f"`{name}` has a value twice")
         return self
 
@@ -127,6 +173,54 @@ def excitable_components(geometry: Geometry, hall: Hall) -> tuple[Component, ...
         fault = f"the balance does not carry {', '.join(wrong)}"
         raise UserError(fault, place="exciters", remedy=f"Give exciters of {', '.join(carried)}")
     return tuple(name for name in COMPONENT_NAMES if name in hall.exciters)
+
+
+def hit_period(hall: Hall, settings: RecordSettings) -> float:
+    """Time [s] between two hits of the hammer: as declared, else a period of the sweeps, in whole samples."""
+    declared = hall.hammer.period if hall.hammer else None
+    period = declared or max(settings.period, SHORTEST_HIT_PERIOD)
+    return math.ceil(period * settings.sample_rate - 1e-6) / settings.sample_rate
+
+
+def hit_contact(hall: Hall, settings: RecordSettings) -> float:
+    """Duration [s] of a hit: as declared, else one over the band's end (where its spectrum is then a third).
+
+    Raises UserError where it is too long for the time between two hits.
+    """
+    declared = hall.hammer.contact if hall.hammer else None
+    contact = declared or 1.0 / settings.band[1]
+    if contact > LONGEST_CONTACT * hit_period(hall, settings):
+        fault = (
+            f"a contact of {contact:g} s is more than a twentieth of the {hit_period(hall, settings):g} s between hits"
+        )
+        raise UserError(fault, place="hammer", remedy="Give a shorter `contact` or a longer `period`")
+    return contact
+
+
+def hammer_points(hall: Hall, geometry: Geometry) -> dict[str, ForcePoint]:
+    """The points at which the hammer can hit. Raises UserError where there are none."""
+    if hall.hammer is None:
+        return {}
+    declared: Mapping[str, HammerPoint | DeclaredLoadPoint] = hall.hammer.points or geometry.load_points or {}
+    points = {
+        name: ForcePoint(name=name, position=point.position, direction=point.direction)
+        for name, point in declared.items()
+        if point.direction is not None
+    }
+    if not points:
+        remedy = "Give `points`, or load points with a direction in the geometry"
+        raise UserError("the hammer has no points to hit", place="hammer.points", remedy=remedy)
+    return points
+
+
+def static_load_limits(geometry: Geometry, hall: Hall | None) -> dict[Component, float]:
+    """The largest static loads: of the hall, else the rated ones. Raises UserError where neither states any."""
+    stated = dict(((hall.static_loads if hall else None) or geometry.rated_loads or {}).items())
+    largest = {name: stated[name] for name in COMPONENT_NAMES if name in stated}
+    if not largest:
+        fault = "neither `static_loads` of the hall nor `rated_loads` of the geometry state the largest loads"
+        raise UserError(fault, remedy="Add `static_loads: {Fx: ...}` to the hall file")
+    return largest
 
 
 def record_settings(geometry: Geometry, hall: Hall) -> RecordSettings:

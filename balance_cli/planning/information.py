@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch, split_by_run
-from balance_cli.estimation.likelihood import batch_curvature
+from balance_cli.estimation.likelihood import batch_curvature, batch_derivatives
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.planning.channel_noise import ChannelNoise
 from balance_cli.planning.extended_model import ExtendedModel
-from balance_cli.simulation.campaign import simulate_run
 from balance_cli.simulation.plans import AnyPlan
-from balance_cli.simulation.rig import TrueRig
+from balance_cli.simulation.signal_store import SignalStore
 
 Array = NDArray[np.float64]
 
@@ -63,13 +62,19 @@ def spectra_information(spectra: Spectra, model: ExtendedModel) -> tuple[RunInfo
     )
 
 
+def band_information(spectra: Spectra, model: ExtendedModel, edges: Array) -> tuple[Array, ...]:
+    """The information (p, p) of the lines of one run in each band, from `edges` (b,) [Hz] on.
+
+    What the start transient and tones of the mains take of it is not taken off.
+    """
+    (batch,) = split_by_run(stack_runs(spectra.lines, (), model.model.geometry.channel_names))
+    item = batch_derivatives(batch, model.system)
+    weighted, place = item.weighted(), np.searchsorted(edges, batch.line_frequency * (1.0 + 1e-9), side="right") - 1
+    return tuple(item.information_of_lines(weighted, place == band) for band in range(len(edges)))
+
+
 def _run_name(batch: Batch) -> str:
     return batch.runs[0].name
-
-
-def rehearse(plan: AnyPlan, rig: TrueRig, noise: ChannelNoise, seed: int = 0) -> Run:
-    """One simulated record of a planned run."""
-    return simulate_run(rig, plan, noise, seed)[0]
 
 
 def rehearsed_spectra(run: Run, geometry: Geometry) -> Spectra:
@@ -78,7 +83,7 @@ def rehearsed_spectra(run: Run, geometry: Geometry) -> Spectra:
 
 
 def planned_information(
-    plan: AnyPlan, rig: TrueRig, noise: ChannelNoise, model: ExtendedModel, random_seeds: Iterable[int] = (0,)
+    plan: AnyPlan, store: SignalStore, noise: ChannelNoise, model: ExtendedModel, random_seeds: Iterable[int] = (0,)
 ) -> RunInformation:
     """The information that a planned run is expected to give, in the mean of a rehearsal with each seed.
 
@@ -86,8 +91,8 @@ def planned_information(
     of lightly damped modes a single rehearsal gives a sigma that is off by a tenth. Raises UserError where a record
     would have no usable lines.
     """
-    records = (rehearse(plan, rig, noise, seed) for seed in random_seeds)
-    spectra = (rehearsed_spectra(record, rig.geometry) for record in records)
+    records = (store.record(plan, noise, seed) for seed in random_seeds)
+    spectra = (rehearsed_spectra(record, store.rig.geometry) for record in records)
     parts = [add_information(spectra_information(each, model), model) for each in spectra]
     return mean_information(parts, plan.run)
 

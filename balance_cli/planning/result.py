@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.result_view import ResultView, plural
-from balance_cli.planning.candidate_runs import CandidateRun, LevelLimit
+from balance_cli.planning.candidate_runs import CandidateRun
 from balance_cli.planning.confusion import ConfusedPair
 from balance_cli.planning.detectability import DetectionLevel
+from balance_cli.planning.levels import LevelLimit
 from balance_cli.simulation.noise import DeclaredNoise
 from balance_cli.simulation.plans import CampaignPlan
 
@@ -97,6 +98,7 @@ class PlannedCampaign(ResultView):
 
     `minutes` of hall time; `noise` is that of the plan, and `noise_source` says where it is from; `made` are the
     runs that were made before; `unpredicted` {effect: why} are those of which the theory says nothing.
+    `complete`: no time limit came before all runs were tried.
     """
 
     rig: str
@@ -114,6 +116,7 @@ class PlannedCampaign(ResultView):
     ranking: tuple[RankedRun, ...]
     loads: LoadSigma | None
     parameters: tuple[ParameterForecast, ...]
+    complete: bool = True
 
     def summary_lines(self) -> Iterator[str]:
         """Number of runs, time, and the noise that is assumed."""

@@ -84,6 +84,7 @@ class StoredForecast(FrozenModel):
     """What a plan expects, with the keys of its JSON summary."""
 
     minutes: float
+    complete: bool = True
     made: tuple[str, ...]
     noise: str
     level: float

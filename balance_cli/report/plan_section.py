@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.planning.run_words import condition_words, excitation_words, level_words, record_words
 from balance_cli.planning.stored_forecast import StoredEffect, StoredForecast, StoredLoads, StoredPlan
 from balance_cli.report.blocks import (
     Chart,
@@ -26,7 +27,6 @@ from balance_cli.report.figure_style import BLUE, GRAY, ORANGE
 from balance_cli.report.number_format import format_percent, format_significant, join_names
 from balance_cli.report.plots import Plot, Trace
 from balance_cli.report.sources import Sources
-from balance_cli.simulation.plans import SweepPlan
 
 
 def section(sources: Sources) -> Section | None:
@@ -73,19 +73,13 @@ def _key_figures(stored: StoredPlan) -> Iterator[tuple[str, str, str]]:
 
 
 def _run_table(stored: StoredPlan) -> Table:
-    head = ("run", "excited", "level, rms", "rotor", "record", "sigma of loads by parameters")
+    head = ("run", "excited", "level, rms", "rotor, loads", "record", "sigma of loads by parameters")
     loads = stored.forecast.loads
     rows: list[Row] = []
     for i, run in enumerate(stored.plan.runs):
         part = "" if loads is None else f"x {format_significant(loads.parameter_part_after_run[i])}"
-        if isinstance(run, SweepPlan):
-            level = ", ".join(
-                f"{value:.3g} {UNIT_OF[name]}" for name, value in zip(run.excited, run.level, strict=True)
-            )
-            rotor = f"{run.rotor_speed:g} Hz" if run.rotor_speed else "at rest"
-            rows.append(row_with_name(run.run, ", ".join(run.excited), level, rotor, f"{run.duration:.0f} s", part))
-        else:
-            rows.append(row_with_name(run.run, run.kind, "", "", "", part))
+        words = (excitation_words(run), level_words(run), condition_words(run), record_words(run))
+        rows.append(row_with_name(run.run, *words, part))
     caption = (
         "Runs in their order. Last column: the part of the loads' sigma that the parameters make, over that before."
     )

@@ -124,25 +124,38 @@ def record_samples(
     rig: TrueRig, plan: SampledPlan, grid: Grid, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
     """The record of a sampled run from commanded loads (n, 6), cell forces and torques (n, c+t) on the fine grid."""
-    geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.random_stream(plan, "noise")
+    geometry = rig.geometry
     through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
     volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]
     recorded = through(_recorded_loads(rig, commanded_loads, plan.kind, grid.step))[: grid.samples]
-    sigma = np.array([noise.sigma_of_channel(channel) for channel in geometry.channels])
-    noisy = volts + sigma * rng.standard_normal(volts.shape)
-    applied = np.any(commanded_loads != 0, axis=0)
-    read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)
-    converted = noise.to_file_precision(noise.quantize(_clip_to_range(noisy, geometry.channels)))
-    if isinstance(plan, SweepPlan) and plan.point is not None:
-        force = noise.to_file_precision(_force_at_point(plan.point, recorded, geometry.hub, noise.load, rng))
-        run = _run_with_point(rig, plan, converted, plan.point, force)
-    else:
-        has_loads = plan.kind in KINDS_WITH_LOADS
-        run = _make_run(rig, plan, converted, noise.to_file_precision(read) if has_loads else None)
+    run = read_signals(rig, plan, volts, recorded, acquisition)
     true = true_loads(rig, commanded_loads, plan.kind)[:: grid.oversampling][: grid.samples]
     truth = RunTruth(plan.run, plan.kind, grid.time, true, recorded, volts)
     run, truth = _add_plan_metadata(run, truth, plan)
     return _add_digest(run), truth
+
+
+def sweep_record(rig: TrueRig, plan: SweepPlan, volts: Array, recorded: Array, acquisition: RecordingSetup) -> Run:
+    """The record of a sweep whose volts (n, c) and loads (n, 6) without noise are known."""
+    run = read_signals(rig, plan, volts, recorded, acquisition)
+    return _add_digest(
+        _add_sweep_metadata(replace(run, sample_rate=plan.sample_rate, rotor_speed=plan.rotor_speed), plan)
+    )
+
+
+def read_signals(rig: TrueRig, plan: SampledPlan, volts: Array, recorded: Array, acquisition: RecordingSetup) -> Run:
+    """The run that reads these volts (n, c) and loads (n, 6) with noise; without metadata and digest."""
+    geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.random_stream(plan, "noise")
+    sigma = np.array([noise.sigma_of_channel(channel) for channel in geometry.channels])
+    noisy = volts + sigma * rng.standard_normal(volts.shape)
+    applied = np.any(recorded != 0, axis=0)
+    read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)
+    converted = noise.to_file_precision(noise.quantize(_clip_to_range(noisy, geometry.channels)))
+    if isinstance(plan, SweepPlan) and plan.point is not None:
+        force = noise.to_file_precision(_force_at_point(plan.point, recorded, geometry.hub, noise.load, rng))
+        return _run_with_point(rig, plan, converted, plan.point, force)
+    has_loads = plan.kind in KINDS_WITH_LOADS
+    return _make_run(rig, plan, converted, noise.to_file_precision(read) if has_loads else None)
 
 
 def _force_at_point(point: ForcePoint, loads: Array, hub: Vector, noise: float, rng: np.random.Generator) -> Array:
@@ -159,12 +172,16 @@ def _run_with_point(rig: TrueRig, plan: SweepPlan, channels: Array, point: Force
     return with_hub_loads(replace(_make_run(rig, plan, channels, None), additions=additions), rig.geometry)
 
 
+def _add_sweep_metadata(run: Run, plan: SweepPlan) -> Run:
+    period = plan.period if plan.excitation in ("multisine", "sine-sweep") else None
+    return replace(run, excited=plan.excited, excitation=plan.excitation, level=plan.level, period=period)
+
+
 def _add_plan_metadata(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:
     """Run and truth with the plan's metadata of excitation or rotor."""
     run = replace(run, sample_rate=plan.sample_rate, rotor_speed=plan.rotor_speed)
     if isinstance(plan, SweepPlan):
-        period = plan.period if plan.excitation in ("multisine", "sine-sweep") else None
-        run = replace(run, excited=plan.excited, excitation=plan.excitation, level=plan.level, period=period)
+        run = _add_sweep_metadata(run, plan)
     if isinstance(plan, RotorPlan):
         rotor = rotor_kinematics(plan)
         pulses = rotor.pulse_times(plan.duration)

@@ -16,7 +16,7 @@ CLIPPING_LEVELS = (0.80, 0.85, 0.90, 0.93, 0.95, 0.97, 0.98, 0.99)
 """Clipping over the peak. Van der Ouderaa et al. begin with a low level and raise it, or the peak stays at a local
 minimum soon."""
 STEPS_OF_A_LEVEL = 60
-"""Clippings at each level: of flat spectra of 30 to 600 lines four times as many take less than 2 % more off the peak."""
+"""Clippings at each level: of 50 to 600 lines, flat or in steps, the peak is then 1.39 to 1.57 times the rms."""
 
 
 def schroeder_phases(power: Array) -> Array:

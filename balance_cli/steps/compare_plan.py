@@ -12,13 +12,12 @@ from balance_cli.planning.information import (
     RunInformation,
     add_information,
     mean_information,
-    rehearse,
     rehearsed_spectra,
     spectra_information,
 )
 from balance_cli.simulation.noise import DeclaredNoise
 from balance_cli.simulation.plans import CampaignPlan, SweepPlan
-from balance_cli.steps.plan import PlanningRig, PlanOptions, planning_rig, rehearsal_count
+from balance_cli.steps.plan import REHEARSALS, PlanningRig, PlanOptions, planning_rig
 
 
 def compare_plan(
@@ -63,7 +62,7 @@ def _rehearsed(
     seed: int,
 ) -> ExecutedRun:
     noise = planning_noise(declared, (), plan.sample_rate)
-    rehearsals = [rehearse(plan, base.rig, noise, seed + k) for k in range(rehearsal_count(plan))]
+    rehearsals = [base.signals.record(plan, noise, seed + k) for k in range(REHEARSALS)]
     records = [rehearsed_spectra(record, base.rig.geometry) for record in rehearsals]
     parts = [spectra_information(each, base.model)[0] for each in records]
     planned = mean_information(parts, plan.run)
