@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from balance_cli.planning.candidate_runs import CandidateRun
+    from balance_cli.planning.confusion import ConfusedPair
     from balance_cli.planning.result import DetectableEffect, LoadSigma, PlannedCampaign
 
 MOST_LISTED = 10
@@ -187,8 +188,15 @@ def _confusion_text(planned: PlannedCampaign) -> Iterator[str]:
         return
     yield "Effects that the runs cannot tell apart (cosine between their traces):"
     for pair in planned.confusion[:MOST_LISTED]:
-        remedy = (
-            f"best separated by {pair.run}: {pair.cosine_with_run:.4f}" if pair.run else "no run here separates them"
-        )
+        remedy = _remedy(pair)
         more = f" (and {pair.places - 1} other places)" if pair.places > 1 else ""
         yield f"   {pair.cosine:.4f}  {pair.first} and {pair.second}{more}; {remedy}"
+
+
+def _remedy(pair: ConfusedPair) -> str:
+    """What separates two effects: a run of the hall, another kind of run, or other evidence."""
+    if pair.run:
+        return f"best separated by {pair.run}: {pair.cosine_with_run:.4f}"
+    if pair.further:
+        return f"no run of this hall separates them, best {pair.further}: {pair.cosine_with_further:.4f}"
+    return f"no run separates them at this size. {pair.otherwise}"

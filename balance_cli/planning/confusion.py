@@ -11,7 +11,7 @@ fitted in place of a, the share 1 - c^2 of the gain of a remains to tell that it
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,9 @@ class ConfusedPair:
     """Two effects (labels NAME@PLACE) that leave nearly the same trace, the most alike places of `places` in all.
 
     `cosine` of the angle between their traces; `run`, the proposed run that lowers it most, to `cosine_with_run`;
-    empty where none of the runs changes it by more than `LEAST_CHANGE`.
+    empty where none of the runs changes it by more than `LEAST_CHANGE`. `further`: what other kind of run lowers it
+    most, to `cosine_with_further`, where none of the hall does so; without one, `otherwise` is the measurement that
+    tells these two effects apart by other means.
     """
 
     first: str
@@ -46,6 +48,9 @@ class ConfusedPair:
     cosine: float
     run: str
     cosine_with_run: float
+    further: str = ""
+    cosine_with_further: float = 1.0
+    otherwise: str = ""
 
 
 LEAST_CHANGE = 1e-3
@@ -53,22 +58,45 @@ LEAST_CHANGE = 1e-3
 
 
 def confused_pairs(
-    total: RunInformation, model: ExtendedModel, proposals: Sequence[RunInformation]
+    total: RunInformation,
+    model: ExtendedModel,
+    proposals: Sequence[RunInformation],
+    further: Sequence[RunInformation] = (),
 ) -> tuple[ConfusedPair, ...]:
     """The pairs of effects that are alike after the runs of `total`, the most alike first.
 
     Each pair of names stands for all pairs of their places. What an effect has in common with itself at a wider place
-    is not listed.
+    is not listed. `further`: runs beyond the hall, named by what they are.
     """
     projected, positions = project(total, model), tested_positions(model)
     alike = sorted(_alike(projected, model, positions), key=lambda item: (-round(item[2], 6), item[0], item[1]))
     names = [tuple(model.candidates[k].effect.name for k in item[:2]) for item in alike]
     leading = [item for k, item in enumerate(alike) if names[k] not in names[:k]][:MOST_PAIRS]
-    with_runs = [(run.run, project(add_information([total, run], model), model)) for run in proposals]
-    return tuple(
-        _pair(model, positions, item, names.count(tuple(model.candidates[k].effect.name for k in item[:2])), with_runs)
-        for item in leading
+    with_runs, with_further = (
+        [(run.run, project(add_information([total, run], model), model)) for run in runs]
+        for runs in (proposals, further)
     )
+    pairs = []
+    for item in leading:
+        places = names.count(tuple(model.candidates[k].effect.name for k in item[:2]))
+        pair = _pair(model, positions, item, places, with_runs)
+        pairs.append(pair if pair.run else _with_further(pair, model, positions, item, with_further))
+    return tuple(pairs)
+
+
+def _with_further(
+    pair: ConfusedPair,
+    model: ExtendedModel,
+    positions: Sequence[Index],
+    alike: tuple[int, int, float],
+    with_further: Sequence[tuple[str, ProjectedInformation]],
+) -> ConfusedPair:
+    """The pair with the run beyond the hall that separates it best, or what does otherwise."""
+    beyond = _pair(model, positions, alike, pair.places, with_further)
+    if beyond.run:
+        return replace(pair, further=beyond.run, cosine_with_further=beyond.cosine_with_run)
+    effects = dict.fromkeys(model.candidates[k].effect.separated_by for k in alike[:2])
+    return replace(pair, cosine_with_further=pair.cosine, otherwise=" ".join(effects))
 
 
 def _pair(

@@ -36,6 +36,8 @@ Index = NDArray[np.intp]
 
 POWER = 0.9
 """Probability with which an effect of the smallest size is found: the usual one of clinical and radar detection."""
+LARGEST_SIZE = 1e6
+"""Scales of a parameter (changes that matter) from which a size is one that no run shows."""
 KNOWN_NOISE_DOF = 1e7
 """Degrees of freedom from which the noise counts as known: there the noncentral F and chi-square agree to 1e-6."""
 
@@ -190,7 +192,9 @@ def smallest_sizes(
         spread = np.sqrt(np.diag(covariance_from_information(V)))
         for k, item in enumerate(model.items(candidate)):
             size = float(np.sqrt(needed / V[k, k])) if V[k, k] > 0 else float("inf")
-            sigma = float(spread[k]) if V[k, k] > 0 else float("inf")
+            # Rounding leaves some information on what no run excites.
+            size = size if size < LARGEST_SIZE * item.fitted_scale else float("inf")
+            sigma = float(spread[k]) if np.isfinite(size) else float("inf")
             sizes.append(_smallest_size(candidate.label, candidate.effect.name, item, size, sigma, int(positions[k])))
     return tuple(sizes)
 

@@ -62,12 +62,20 @@ def detectable_effects(
     model: ExtendedModel,
     detection: DetectionLevel,
     forecast: LoadForecast | None,
+    further: Sequence[RunInformation] = (),
 ) -> tuple[DetectableEffect, ...]:
-    """Each effect at the place and parameter where it is hardest to find, before and after each run."""
+    """Each effect at the place and parameter where it is hardest to find, before and after each run.
+
+    `further`: other runs, those beyond the hall named by what they are; an effect that no run of the plan shows names
+    the one that tells most of it.
+    """
+    beyond = [(run.run, project(run, model)) for run in further]
     tables = [smallest_sizes(stage, model, detection) for stage in stages]
     unpredicted = {item.effect.name for item in model.candidates if item.effect.search.tone is not None}
     names = dict.fromkeys(item.effect for item in tables[-1])
-    return tuple(_detectable_effect(name, tables, stages, model, forecast) for name in names if name not in unpredicted)
+    return tuple(
+        _detectable_effect(name, tables, stages, model, forecast, beyond) for name in names if name not in unpredicted
+    )
 
 
 def _detectable_effect(
@@ -76,6 +84,7 @@ def _detectable_effect(
     stages: Sequence[ProjectedInformation],
     model: ExtendedModel,
     forecast: LoadForecast | None,
+    beyond: Sequence[tuple[str, ProjectedInformation]],
 ) -> DetectableEffect:
     rows = [item for item in tables[-1] if item.effect == name]
     scale = model.scales
@@ -104,12 +113,22 @@ def _detectable_effect(
         share=shares[-1],
         shares=shares,
         missing=missing,
-        shown_by=_run_that_shows(hardest, model) if missing else "",
+        shown_by=_run_that_shows(next(item for item in rows if not np.isfinite(item.size)), model, beyond)
+        if missing
+        else "",
     )
 
 
-def _run_that_shows(item: SmallestSize, model: ExtendedModel) -> str:
-    """The measurement that would show an effect which the sweeps of a plan do not."""
+def _run_that_shows(
+    item: SmallestSize, model: ExtendedModel, beyond: Sequence[tuple[str, ProjectedInformation]]
+) -> str:
+    """The measurement that would show an effect which the sweeps of a plan do not.
+
+    Of the runs beyond the hall it is the one with the most information on it.
+    """
+    best, what = max(((float(each.V[item.index, item.index]), name) for name, each in beyond), default=(0.0, ""))
+    if best > 0:
+        return what
     effect = next(each.effect for each in model.candidates if each.effect.name == item.effect)
     if effect.needs_spin:
         return "a sweep with the rotor turning (`rotor_speeds` in the hall file)"

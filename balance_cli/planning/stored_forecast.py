@@ -57,6 +57,9 @@ class StoredPair(FrozenModel):
     cosine: float
     run: str
     cosine_with_run: float
+    further: str = ""
+    cosine_with_further: float = 1.0
+    otherwise: str = ""
 
 
 class StoredRanking(FrozenModel):

@@ -101,7 +101,8 @@ def _effect_row(item: StoredEffect) -> Row:
     easiest = f"{item.easiest.place}: {_size(item.easiest.size)}"
     share = "" if item.load_share is None else f"{format_percent(item.load_share)} %"
     last = item.after[-1] if item.after else None
-    texts = (_size(item.before), _size(last), item.unit, easiest, share)
+    after = _size(last) if last or not item.shown_by else f"not shown; would be by {item.shown_by}"
+    texts = (_size(item.before), after, item.unit, easiest, share)
     return row_with_name(f"{item.hardest} {item.parameter}", *texts)
 
 
@@ -159,7 +160,9 @@ def _confusion_table(forecast: StoredForecast) -> Table:
     rows = []
     for pair in forecast.confusion:
         other = f" (and {pair.places - 1} other places)" if pair.places > 1 else ""
-        cells = (pair.first, pair.second + other, pair.run or "none of these")
-        rows.append((TableCell(f"{pair.cosine:.4f}"), *plain_row(*cells, f"{pair.cosine_with_run:.4f}")))
+        remedy = pair.run or (f"none of this hall; {pair.further}" if pair.further else f"no run; {pair.otherwise}")
+        cosine = pair.cosine_with_run if pair.run else min(pair.cosine, pair.cosine_with_further)
+        cells = (pair.first, pair.second + other, remedy)
+        rows.append((TableCell(f"{pair.cosine:.4f}"), *plain_row(*cells, f"{cosine:.4f}")))
     caption = "Effects whose traces are nearly alike after the runs (cosine of their angle; 1: cannot be told apart)."
     return Table(caption, (plain_row(*head),), tuple(rows))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from balance_cli.campaign.rig.geometry import Geometry
@@ -28,6 +28,7 @@ from balance_cli.planning.forecast import (
     projected_stages,
     unpredicted_effects,
 )
+from balance_cli.planning.further_runs import further_runs
 from balance_cli.planning.hall import Hall, RecordSettings, excitable_components, open_hall, record_settings
 from balance_cli.planning.hub_loads import LoadForecast, load_forecast
 from balance_cli.planning.information import (
@@ -111,6 +112,8 @@ def plan_campaign(
     """
     deadline = Deadline(options.time_limit)
     base = planning_rig(geometry, options.hall, model, spectra)
+    # Constraints that cannot hold are met before anything is rehearsed.
+    candidate_runs(base.rig.geometry, options.hall, base.settings, base.model.system)
     before = add_information(spectra_information(spectra, base.model), base.model)
     powers = line_powers(base, options, before, progress)
     candidates = candidate_runs(base.rig.geometry, options.hall, base.settings, base.model.system, powers)
@@ -243,6 +246,7 @@ def _describe(
     stages = projected_stages(totals, base.model)
     named = number_runs([problem.candidates[i] for i in chosen])
     proposals = list({run.run: run for run in problem.information}.values())
+    further = _further_information(base, options, deadline)
     return PlannedCampaign(
         rig=base.rig.geometry.rig,
         campaign=CampaignPlan(runs=tuple(item.plan for item in named)),
@@ -254,13 +258,26 @@ def _describe(
         noise_source=base.noise.source,
         detection=options.detection,
         limits=base.limits,
-        effects=detectable_effects(stages, base.model, options.detection, base.forecast),
+        effects=detectable_effects(stages, base.model, options.detection, base.forecast, (*proposals, *further)),
         unpredicted=unpredicted_effects(base.model, options.hall.effects),
-        confusion=confused_pairs(totals[-1], base.model, proposals),
+        confusion=confused_pairs(totals[-1], base.model, proposals, further),
         ranking=rank_runs(problem),
         loads=load_sigma(stages, base.model, base.forecast),
         parameters=parameter_forecasts(stages[0], stages[-1], base.model),
     )
+
+
+def _further_information(base: PlanningRig, options: PlanOptions, deadline: Deadline) -> tuple[RunInformation, ...]:
+    """The information of runs beyond the hall, named by what they are; those that give no usable lines are left out."""
+    parts = []
+    for item in further_runs(base.rig.geometry, options.hall, base.settings, base.limits, base.model.system):
+        if deadline.is_over:
+            break
+        try:
+            parts.append(replace(base.information(item.plan, (options.seed,)), run=item.what, parts=()))
+        except UserError:
+            continue
+    return tuple(parts)
 
 
 def _forecast_information(base: PlanningRig, problem: Problem, index: int, seed: int) -> RunInformation:

@@ -53,6 +53,7 @@ def hall_of(geometry, letter, **changes):
         "effects": EFFECTS,
         "change_minutes": 0.1,
         "overhead_minutes": 0.05,
+        "spectrum": "flat",
     }
     return Hall(format="balance-hall/1", **{**settings, **changes})
 
@@ -68,7 +69,7 @@ def plan_a(rig_a):
     """A sweep of each component; their periods are long beside the decay of the modes."""
     geometry = rig_a.rig.geometry
     hall = hall_of(geometry, "A", period=1.0, periods=(5,))
-    runs = candidate_runs(geometry, hall, record_settings(geometry, hall), rig_a.limits)
+    runs = candidate_runs(geometry, hall, record_settings(geometry, hall), rig_a.model.system)
     return CampaignPlan(runs=tuple(item.plan for item in runs))
 
 

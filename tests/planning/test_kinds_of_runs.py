@@ -1,0 +1,152 @@
+"""Runs that a plan chooses from beside flat sweeps: mean loads, hits beside the hub, static runs, shaped power."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.point_loads import with_hub_loads
+from balance_cli.campaign.recording.run_file import open_run, write_run
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.io.errors import UserError
+from balance_cli.model.balance import balance_model
+from balance_cli.planning.candidate_runs import candidate_runs
+from balance_cli.planning.channel_noise import ChannelNoise
+from balance_cli.planning.deadline import Deadline
+from balance_cli.planning.design import Design
+from balance_cli.planning.extended_model import extended_model
+from balance_cli.planning.hall import Hall, record_settings
+from balance_cli.planning.information import RunInformation, band_information, no_information, spectra_information
+from balance_cli.planning.line_power import BandInformation, PowerProblem, optimal_powers
+from balance_cli.planning.run_words import condition_words, excitation_words, record_words
+from balance_cli.simulation import NO_NOISE, SweepPlan, simulate_run, true_rig
+from balance_cli.simulation.plans import ForcePoint
+from balance_cli.simulation.signal_store import SignalStore
+from tests.support.other_rigs import other_rig
+
+HALL = {
+    "format": "balance-hall/1",
+    "exciters": {"Fx": {"rms": 30.0}, "Fz": {"rms": 60.0}},
+    "period": 1.0,
+    "periods": (4,),
+    "levels": (1.0,),
+}
+
+
+def hall(**changes):
+    return Hall(**{**HALL, **changes})
+
+
+def candidates(letter="A", **changes):
+    geometry = other_rig(letter)
+    declared = hall(**changes)
+    system = balance_model(geometry).system()
+    return candidate_runs(geometry, declared, record_settings(geometry, declared), system)
+
+
+def test_mean_loads_points_and_weights_are_candidates():
+    points = {"corner": {"position": (0.2, 0.1, 0.0), "direction": (0.0, 0.0, -2.0)}}
+    runs = candidates(
+        trims=({}, {"Fz": 100.0}),
+        hammer={"peak": 300.0, "points": points},
+        minutes_per_point=0.5,
+        static_loads={"Fx": 100.0, "Fz": 200.0},
+    )
+    words = [(excitation_words(run.plan), condition_words(run.plan), record_words(run.plan)) for run in runs]
+    assert words[:2] == [("Fx", "at rest", "4 s"), ("Fz", "at rest", "4 s")]
+    assert words[2][1] == "at rest, under Fz 100 N"
+    assert ("hammer at corner", "at rest", "4 s") in words
+    assert words[-2:] == [
+        ("weights", "at rest, trim bare", "17 points"),
+        ("weights", "at rest, trim Fz=100", "17 points"),
+    ]
+    assert len({run.setup for run in runs}) == len(runs) == 7
+    assert runs[-1].minutes == pytest.approx(17 * 0.5 + 0.5)
+
+
+def test_mean_loads_take_their_part_of_the_range():
+    full = other_rig("A").cells[0].full_range
+    free, loaded = (
+        {
+            run.plan.run.split("-")[0]: run.plan.level[0]
+            for run in candidates(exciters={"Fz": {"peak": 1e9}}, trims=(trim,))
+        }
+        for trim in ({}, {"Fz": full})
+    )
+    assert loaded["Fz"] < free["Fz"]
+    with pytest.raises(UserError, match="mean loads take more than 80 %"):
+        candidates(trims=({"Fz": 20.0 * full},))
+
+
+def test_force_beside_the_hub_is_recorded_and_read_back_as_hub_loads(tmp_path: Path):
+    geometry = other_rig("A")
+    point = ForcePoint(name="corner", position=(0.3, 0.1, -0.2), direction=(0.0, 0.0, -2.0))
+    plan = SweepPlan(
+        run="tap", excited=("Fz",), level=(10.0,), excitation="impact", contact=5e-3, period=1.0, periods=3, point=point
+    )
+    run = simulate_run(true_rig(geometry), plan, NO_NOISE)[0]
+    loads = run.read().loads
+    assert loads == pytest.approx(np.outer(loads[:, 2] / -1.0, point.wrench(geometry.hub)), abs=1e-6)
+    assert np.sqrt(np.mean(loads[:, 2] ** 2)) == pytest.approx(10.0, rel=1e-3)
+    write_run(tmp_path / "tap.h5", run)
+    again = with_hub_loads(open_run(tmp_path / "tap.h5"), geometry)
+    assert again.read().loads == pytest.approx(loads, rel=1e-6, abs=1e-6)
+    assert len(measured_spectra([again], geometry).lines[0].components) == 3
+
+
+def test_kept_signals_are_those_of_a_simulation_of_their_own():
+    geometry = other_rig("A")
+    store = SignalStore(true_rig(geometry), longest=4)
+    plan = SweepPlan(run="Fx", excited=("Fx",), level=(30.0,), phases="low-crest", period=0.5, periods=4)
+    short = plan.model_copy(update={"periods": 2, "level": (12.0,), "run": "other"})
+    for each in (plan, short):
+        kept, direct = (
+            store.record(each, ChannelNoise(), 3),
+            simulate_run(true_rig(geometry), each, ChannelNoise(), 3)[0],
+        )
+        # Rounding to the step of the converter may fall on either side.
+        assert kept.read().channels == pytest.approx(direct.read().channels, abs=4e-4)
+        assert kept.read().loads == pytest.approx(direct.read().loads, abs=1e-4)
+        assert (kept.level, kept.period, kept.sample_rate) == (direct.level, direct.period, direct.sample_rate)
+    assert len(store._kept) == 1
+
+
+def test_bands_add_up_to_the_run():
+    geometry = other_rig("A")
+    base = balance_model(geometry)
+    model = extended_model(base, base.parameters.value, ("channel-gain",))
+    plan = SweepPlan(
+        run="Fx", excited=("Fx",), level=(30.0,), phases="schroeder", period=1.0, periods=4, band=(4.0, 150.0)
+    )
+    spectra = measured_spectra([simulate_run(true_rig(geometry), plan)[0]], geometry)
+    parts = band_information(spectra, model, np.array([4.0, 30.0, 70.0]))
+    (whole,) = spectra_information(spectra, model)
+    # The transient that a whole run eliminates takes a little of the information.
+    ratio = np.diag(sum(parts)) / np.diag(whole.information)
+    assert np.all(ratio > 1.0 - 1e-9) and np.median(ratio) < 1.2
+
+
+def test_power_goes_where_it_tells_and_keeps_to_its_limit():
+    geometry = other_rig("A")
+    base = balance_model(geometry)
+    model = extended_model(base, base.parameters.value, ("channel-gain",))
+    size = model.size
+    tested = int(np.concatenate(model.indices.tested)[0])
+    useful = np.zeros((size, size))
+    useful[tested, tested] = 1e6
+    parts = tuple(RunInformation("Fx", matrix, 100.0) for matrix in (useful, 0.0 * useful))
+    share = np.array([0.25, 0.75])
+    sweep = BandInformation("Fx", np.array([5.0, 50.0]), share, parts)
+    power = optimal_powers(PowerProblem([sweep], no_information(model), model, None, "effects"))["Fx"]
+    factors = np.array([value for _, value in power])
+    # All that is not kept flat (a fifth) goes into the band that tells: 0.2 + 0.8 / 0.25.
+    assert factors == pytest.approx([3.4, 0.2]) and factors @ share == pytest.approx(1.0)
+
+
+def test_deadline_counts_from_its_start():
+    now = [10.0]
+    deadline = Deadline(5.0, clock=lambda: now[0])
+    assert not deadline.is_over and not deadline.was_reached
+    now[0] = 15.0
+    assert deadline.is_over and deadline.was_reached
+    assert not Deadline(None).is_over and Design((), 0.0).chosen == ()
