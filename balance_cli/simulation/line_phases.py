@@ -35,7 +35,7 @@ def low_crest_phases(numbers: Index, power: Array) -> Array:
     """Phases (count,) [rad] of the lines of these numbers with a still smaller peak of the sum.
 
     The sum is clipped, the phases of the clipped one are taken, the amplitudes restored, and so on (E. van der Ouderaa,
-    J. Schoukens and J. Renneboog, IEEE Trans. Instrum. Meas. 37 (1988) 145), from the phases of Schroeder. Same input,
+    J. Schoukens and J. Renneboog, IEEE Trans. Instrum. Meas. 37 (1988) 207), from the phases of Schroeder. Same input,
     same phases.
     """
     return np.array(_low_crest_phases(tuple(numbers.tolist()), tuple(power.tolist())))
