@@ -15,6 +15,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.plate import carried_components
+from balance_cli.planning.extended_model import effect_names
 from balance_cli.simulation.noise import DeclaredNoise
 from balance_cli.simulation.plans import (
     LONGEST_CONTACT,
@@ -270,3 +271,15 @@ def _default_period(geometry: Geometry) -> float:
 def _whole_samples(period: float, sample_rate: float) -> float:
     """A period of a whole, even number of samples."""
     return 2.0 * max(round(0.5 * period * sample_rate), 2) / sample_rate
+
+
+def check_names(hall: Hall, geometry: Geometry) -> None:
+    """Raise UserError where a hall names an effect that is none, or a channel that the geometry lacks."""
+    known = effect_names()
+    for name in hall.effects or ():
+        if name not in known:
+            raise UserError(f"`{name}` is no effect", place="effects", remedy=f"Give some of {', '.join(known)}")
+    for name in hall.noise.channels if hall.noise else ():
+        if name not in geometry.channel_names:
+            remedy = f"Give some of {', '.join(geometry.channel_names)}"
+            raise UserError(f"the geometry has no channel `{name}`", place="noise.channels", remedy=remedy)

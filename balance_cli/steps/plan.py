@@ -19,7 +19,7 @@ from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.deadline import Deadline
 from balance_cli.planning.design import Design, Problem, choose_runs, rank_runs
 from balance_cli.planning.detectability import DetectionLevel
-from balance_cli.planning.extended_model import ExtendedModel, effect_names, extended_model
+from balance_cli.planning.extended_model import ExtendedModel, extended_model
 from balance_cli.planning.forecast import (
     cumulative_information,
     detectable_effects,
@@ -29,7 +29,14 @@ from balance_cli.planning.forecast import (
     unpredicted_effects,
 )
 from balance_cli.planning.further_runs import further_runs
-from balance_cli.planning.hall import Hall, RecordSettings, excitable_components, open_hall, record_settings
+from balance_cli.planning.hall import (
+    Hall,
+    RecordSettings,
+    check_names,
+    excitable_components,
+    open_hall,
+    record_settings,
+)
 from balance_cli.planning.hub_loads import LoadForecast, load_forecast
 from balance_cli.planning.information import (
     RunInformation,
@@ -183,8 +190,7 @@ def planning_rig(
     geometry: Geometry, hall: Hall, model: IdentifiedModel | None = None, spectra: Spectra = NO_SPECTRA
 ) -> PlanningRig:
     """Prepare a plan: without a model the runs are identified, and without runs the geometry is taken as declared."""
-    _check_effect_names(hall)
-    _check_channel_names(hall, geometry)
+    check_names(hall, geometry)
     if model is None:
         options = IdentifyOptions(method="ls+ml" if spectra.lines else "computed")
         model = identify(spectra, geometry, options)
@@ -201,20 +207,6 @@ def planning_rig(
     forecast = load_forecast(extended, noise, reference, settings.sample_rate, hall.record_seconds)
     excitable_components(model.geometry, hall)
     return PlanningRig(extended, rig, noise, settings, limits, forecast, max(hall.periods))
-
-
-def _check_effect_names(hall: Hall) -> None:
-    known = effect_names()
-    for name in hall.effects or ():
-        if name not in known:
-            raise UserError(f"`{name}` is no effect", place="effects", remedy=f"Give some of {', '.join(known)}")
-
-
-def _check_channel_names(hall: Hall, geometry: Geometry) -> None:
-    for name in hall.noise.channels if hall.noise else ():
-        if name not in geometry.channel_names:
-            remedy = f"Give some of {', '.join(geometry.channel_names)}"
-            raise UserError(f"the geometry has no channel `{name}`", place="noise.channels", remedy=remedy)
 
 
 def _reference_loads(geometry: Geometry, hall: Hall, limits: Iterable[LevelLimit]) -> Mapping[str, float]:
