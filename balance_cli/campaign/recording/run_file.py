@@ -212,11 +212,9 @@ def require_disjoint(runs: Iterable[Run], used: Iterable[Run]) -> None:
 def write_run(path: Path, run: Run, blocks: Iterable[SampleBlock] | None = None) -> None:
     """Write a run file, whole or not at all.
 
-    Samples are stored as float32 where that loses nothing, else as float64. Where their `blocks` are given, they are
-    read only once, from there, and stored as float64.
+    Samples are stored as float32 where that loses nothing; those of `blocks`, which are read only once, as float64.
     """
-    if blocks is None:
-        run = without_point_loads(run)
+    run = without_point_loads(run) if blocks is None else run
     with atomic_write(Path(path)) as part, Hdf5Output(part) as output:
         file = output.file
         for name, value in _attributes(run).items():
