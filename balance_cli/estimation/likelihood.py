@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import WORKERS, Batch, Mask, cached_parts, split_large_batches
+from balance_cli.estimation.batch import WORKERS, Batch, cached_parts, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
 from balance_cli.estimation.channel_distortions import RunDistortions, channel_distortions
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones
@@ -228,10 +228,6 @@ class BatchDerivatives:
         for term in self._further_terms:
             information = information + term.information(rows, columns)
         return np.asarray(information)
-
-    def information_of_lines(self, weighted: ComplexArray, lines: Mask) -> Array:
-        """2 Re sum dY* P dY over some lines (K,), without the further terms of whole runs."""
-        return 2.0 * _real_inner_product(self.derivatives[lines], weighted[lines])
 
     def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
         """The information of each block of parameters; those of a single parameter, which are many, all at once."""

@@ -27,6 +27,7 @@ from balance_cli.simulation.plans import AnyPlan
 from balance_cli.simulation.signal_store import SignalStore
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,13 @@ def band_information(spectra: Spectra, model: ExtendedModel, edges: Array) -> tu
     (batch,) = split_by_run(stack_runs(spectra.lines, (), model.model.geometry.channel_names))
     item = batch_derivatives(batch, model.system)
     weighted, place = item.weighted(), np.searchsorted(edges, batch.line_frequency * (1.0 + 1e-9), side="right") - 1
-    return tuple(item.information_of_lines(weighted, place == band) for band in range(len(edges)))
+    return tuple(_inner_product(item.derivatives[place == k], weighted[place == k]) for k in range(len(edges)))
+
+
+def _inner_product(derivatives: ComplexArray, weighted: ComplexArray) -> Array:
+    """2 Re sum dY* P dY over lines and channels, of dY (K, c, p) and P dY."""
+    left, right = (values.reshape(-1, values.shape[2]) for values in (derivatives, weighted))
+    return np.asarray(2.0 * (left.real.T @ right.real + left.imag.T @ right.imag))
 
 
 def _run_name(batch: Batch) -> str:
