@@ -1,12 +1,16 @@
 """Hammer records: recognized where they are declared as something else, taps and bounces counted, responses right."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.signal
+from click.testing import CliRunner
 
 from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.cli import balance
 from balance_cli.io.errors import UserError
 from balance_cli.signals.impact import find_hits, hammer_record, has_short_hits, use_hammer_record, window_forces
 from balance_cli.signals.local.response import local_response
@@ -14,6 +18,16 @@ from balance_cli.signals.local.response import local_response
 RATE, FINE, SAMPLES = 1000.0, 16, 20000
 MODES = ((40.0, 0.01, 5e3), (95.0, 0.008, 2e4))
 RNG = np.random.default_rng(7)
+GEOMETRY = """format: balance-geometry/1
+name: rig
+rig: rig
+hub: [0.0, 0.0, 0.0]
+bodies: [{name: mass, mass: 1.0, position: [0.0, 0.0, 0.0], inertia: {xx: 1.0, yy: 1.0, zz: 1.0}}]
+cells: [{name: z, position: [0.0, 0.0, 0.0], axis: [0.0, 0.0, 1.0], stiffness: 6.3e4, full_range: 500.0}]
+channels: [{name: c, cell: z, sensitivity: 0.08}]
+freedom: [z]
+damping_ratio: 0.01
+"""
 
 
 def taps(times, width=0.004):
@@ -119,3 +133,18 @@ def test_the_force_window_keeps_hits_and_takes_noise_out_between_them():
     assert np.sum((windowed.loads[:, 0] - clean) ** 2) < 0.02 * np.sum((force - 3.0 - clean) ** 2)
     noise = RNG.standard_normal((SAMPLES, 1))
     assert window_forces(noise).loads is noise
+
+
+def test_a_command_names_the_taps_of_a_record(tmp_path):
+    """The second of three bounces: the first alone, or the third, is used."""
+    run = hammer_run([1.3, 5.1, 5.15, 9.4])
+    write_run(tmp_path / "hammer.h5", run, run.blocks(SAMPLES))
+    (tmp_path / "rig.yaml").write_text(GEOMETRY, encoding="utf-8")
+    words = ["sweep-tf", "-g", tmp_path / "rig.yaml", tmp_path / "hammer.h5", "--json", tmp_path / "summary.json"]
+    words += ["--to", 30, "-o", tmp_path / "tf.h5"]
+    result = CliRunner().invoke(balance, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    record = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["hammer"]["hammer"]
+    np.testing.assert_allclose(record["taps"], [1.3, 5.1, 9.4], atol=0.01)
+    assert record["bounced"] == [2] and len(record["dropped"]) == 2 and 2 in record["dropped"]
+    assert "tap 2 (at 5.1" in result.output
