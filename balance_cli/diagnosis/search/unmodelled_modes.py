@@ -107,15 +107,22 @@ def unmodelled_mode_candidates(
 def move_to_best_places(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:
     """The same model with each effect declared at the place where its parameters are determined best."""
     fitted = dict(zip(state.model.parameters.names, state.theta.tolist(), strict=True))
-    occupied = {(item.name, item.where) for item in state.geometry.effects}
+    effects = best_places(state.geometry.effects, fitted)
+    if effects == state.geometry.effects:
+        return state
+    model, theta = extend_model(state.model, state.theta, state.geometry.model_copy(update={"effects": effects}))
+    return fit_until_stable(model, theta, lines, settings, state.shares)
+
+
+def best_places(declared: Sequence[DeclaredEffect], fitted: Mapping[str, float]) -> tuple[DeclaredEffect, ...]:
+    """The effects at their best places, no two of the same kind at one place; those that come first move first."""
+    occupied = {(item.name, item.where) for item in declared}
     effects = []
-    for item in state.geometry.effects:
+    for item in declared:
         moved = _move_to_best_place(item, fitted)
         effects.append(item if (moved.name, moved.where) in occupied else moved)
-    if tuple(effects) == state.geometry.effects:
-        return state
-    model, theta = extend_model(state.model, state.theta, state.geometry.model_copy(update={"effects": tuple(effects)}))
-    return fit_until_stable(model, theta, lines, settings, state.shares)
+        occupied.add((moved.name, moved.where))
+    return tuple(effects)
 
 
 def _move_to_best_place(item: DeclaredEffect, fitted: Mapping[str, float]) -> DeclaredEffect:
