@@ -16,7 +16,7 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.excitation import multisine
+from balance_cli.simulation.excitation import multisine, multisine_lines
 from balance_cli.simulation.extensions.library import extension
 from balance_cli.simulation.rig import apply_effects
 from tests.support.simulation_rig import GEOMETRY
@@ -167,7 +167,8 @@ def test_schroeder_phases_make_a_small_peak():
     time = np.arange(8 * 3200) / (8 * 800.0)
     crest = {}
     for phases in ("random", "schroeder"):
-        wave = multisine(time, 4.0, (2.0, 150.0), 1.0, np.random.default_rng(3), phases=phases)
+        lines = multisine_lines(4.0, (2.0, 150.0), 1.0, np.random.default_rng(3), phases=phases)
+        wave = multisine(lines, time)
         amplitude = np.abs(np.fft.rfft(wave))[1:] * 2 / len(wave)
         assert np.sqrt(np.mean(wave**2)) == pytest.approx(1.0, abs=1e-9)
         assert np.ptp(amplitude[7:600]) < 1e-9 and amplitude[600 + 1 :].max() < 1e-9
