@@ -37,14 +37,15 @@ def call(tmp_path):
 
 
 def test_plan_is_one_of_simulate_with_sheets_and_summary(call, tmp_path):
-    result = call("--minutes", 3, "--json", tmp_path / "s.json", "--sheets", tmp_path / "sheets.md")
+    words = ("--minutes", 3, "--json", tmp_path / "s.json", "--sheets", tmp_path / "sheets.md")
+    result = call(*words, spectrum="flat", exciters={"Fz": {"rms": 20.0, "peak": 25.0}})
     assert result.exit_code == 0, result.output
     plan, summary = read_plan(tmp_path / "plan.yaml"), json.loads((tmp_path / "s.json").read_text())
     assert isinstance(plan, CampaignPlan)
     assert [run.run for run in plan.runs] == [run["run"] for run in summary["runs"]]
-    # The peak of 30 N is the limit, not the rms of 20 N, and is reached.
+    # The peak of 25 N is the limit, not the rms of 20 N, and is reached.
     run, _ = simulate_run(true_rig(one_degree_of_freedom()), plan.runs[0], NO_NOISE)
-    assert np.abs(run.read().loads).max() == pytest.approx(30.0, rel=0.02)
+    assert np.abs(run.read().loads).max() == pytest.approx(25.0, rel=0.02)
     assert 16.0 < plan.runs[0].level[0] < 19.0
     assert summary["minutes"] <= 3.0
     sheets = (tmp_path / "sheets.md").read_text()
