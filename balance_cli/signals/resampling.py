@@ -92,6 +92,30 @@ class Resampler:
         return np.asarray(filtered[-first // p : -first // p + count])
 
 
+@dataclass(frozen=True)
+class LinearInterpolator:
+    """Straight lines between the samples of a slow quantity, such as a temperature: nothing is lost at its ends.
+
+    As a `Resampler`, but with the record's number of samples; instants before the first and behind the last sample get
+    its value.
+    """
+
+    read_record: Callable[[int, int], Array]
+    rate_in: float
+    rate_out: float
+    start: float
+    record_samples: int
+
+    def read(self, start: int, stop: int) -> Array:
+        """Samples start to stop; those beside a missing sample are missing."""
+        positions = (self.start + np.arange(start, stop) / self.rate_out) * self.rate_in
+        positions = np.clip(positions, 0.0, self.record_samples - 1.0)
+        first, last = math.floor(positions[0]), math.ceil(positions[-1])
+        block = self.read_record(first, last + 1)
+        columns = [np.interp(positions - first, np.arange(len(block)), column) for column in block.T]
+        return np.column_stack(columns)
+
+
 def _evaluate(block: Array, positions: Array, kernel: Callable[[Array], Array], half_length: float) -> Array:
     """The band-limited signal at any positions, each by its own weights."""
     reach = math.ceil(half_length)

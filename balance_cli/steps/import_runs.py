@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.additions import RunAdditions
+from balance_cli.campaign.recording.additions import FORCE, TEMPERATURE, RunAdditions
 from balance_cli.campaign.recording.import_map import ImportMap
 from balance_cli.campaign.recording.import_map_file import DeclaredRun
 from balance_cli.campaign.recording.run import Run
@@ -62,8 +62,9 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
     others = addition_signals(finder, mapping, has_loads)
     supplies = excitation_signals(finder, mapping.channels)
     signals = [*channels, *loads, *supplies.signals]
-    every = [*signals, *(signal for group in others.values() for signal in group)]
-    timeline, notes = _timeline(finder, every, mapping) if entry.kind != "static" else (None, [])
+    measuring = [*channels, *loads, *others.get(FORCE, ())]
+    slow = [*supplies.signals, *others.get(TEMPERATURE, ())]
+    timeline, notes = _timeline(finder, measuring, slow, mapping) if entry.kind != "static" else (None, [])
     matrix = _matrix(finder, signals, timeline)
     matrices = {name: _matrix(finder, group, timeline) for name, group in others.items()}
     _check_rows(matrix, matrices)
@@ -91,7 +92,7 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         reading_units={each.target: each.reading_unit for each in channels if each.reading_unit != VOLTAGE},
         **(point_labels(finder, mapping) if entry.kind == "static" else {}),
     )
-    notes = [*_file_notes(files, finder, mapping, every, has_loads), *notes, *supplies.notes]
+    notes = [*_file_notes(files, finder, mapping, [*measuring, *slow], has_loads), *notes, *supplies.notes]
     return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
 
 
@@ -111,14 +112,22 @@ def _file_notes(
     return notes
 
 
-def _timeline(finder: ChannelFinder, signals: Sequence[Signal], mapping: ImportMap) -> tuple[Timeline, list[str]]:
+def _timeline(
+    finder: ChannelFinder, measuring: Sequence[Signal], slow: Sequence[Signal], mapping: ImportMap
+) -> tuple[Timeline, list[str]]:
+    """The time base of all signals, of which `slow` ones do not set the rate, and notes on what was aligned."""
     names: dict[int, list[str]] = {}
-    for signal in signals:
+    for signal in [*measuring, *slow]:
         names.setdefault(id(signal.source.group), []).append(signal.source.name)
-    clocks = {id(signal.source.group): finder.clock(signal.source) for signal in signals}
+    clocks = {id(signal.source.group): finder.clock(signal.source) for signal in [*measuring, *slow]}
+    of_loads = {id(signal.source.group) for signal in measuring}
     _require_common_part(clocks, names, str(finder.files[0].path))
     try:
-        timeline = common_timeline(list(clocks.values()), mapping.resample)
+        timeline = common_timeline(
+            [clock for key, clock in clocks.items() if key in of_loads],
+            mapping.resample,
+            [clock for key, clock in clocks.items() if key not in of_loads],
+        )
     except UserError as error:
         raise error.with_location(file=str(finder.files[0].path)) from error
     notes = timeline_notes(timeline, [(names[key], clock) for key, clock in clocks.items()])

@@ -246,6 +246,28 @@ def test_forces_at_points_temperatures_and_a_second_rotor(tmp_path):
     assert parts.azimuth_error_deg < 0.1
 
 
+def test_a_slow_temperature_sets_neither_rate_nor_length(tmp_path):
+    rotor = write_wind_hdf5(tmp_path / "record")
+    with h5py.File(tmp_path / "record", "r+") as file:
+        file["tc"] = [20.0, 21.0, 23.0, np.nan, 22.0, 21.0]
+        file["tc"].attrs["unit"], file["tc"].attrs["sample_rate"] = "degC", 1.0
+    result = run_import(tmp_path, wind_map(temperature={"tc": "beam"}), tmp_path / "record")
+    run = open_run(tmp_path / "runs" / "wind-1.h5")
+    assert (run.sample_rate, run.samples) == (4000.0, 24000)
+    assert "tc: interpolated linearly from 1 Hz to 4000 Hz" in result.output and "common part" not in result.output
+    time = np.arange(run.samples) / 4000.0
+    assert np.array_equal(run.read().channels[:, 0], np.cos(rotor.azimuth(time)))
+    temperature = run.additions.read("temperature", 0, run.samples)[:, 0]
+    known = (time <= 2.0) | (time > 4.0)
+    expected = np.interp(time, [0, 1, 2, 4, 5], [20.0, 21.0, 23.0, 22.0, 21.0])
+    assert np.allclose(temperature[known], expected[known]) and np.isnan(temperature[(time > 2) & (time < 4)]).all()
+    # Another rate of the run files: the channels need half a kernel at the ends, the temperature does not.
+    again = wind_map(temperature={"tc": "beam"}, resample=1000)
+    again["runs"][0]["run"] = "wind-2"
+    run_import(tmp_path, again, tmp_path / "record")
+    assert open_run(tmp_path / "runs" / "wind-2.h5").samples == 6000 - 66
+
+
 def test_the_example_of_the_manual(tmp_path):
     page = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
     header = re.search(r"```text\n(.*?)^0,000", page, re.DOTALL | re.MULTILINE)[1]
