@@ -30,10 +30,11 @@ from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
 from balance_cli.simulation import Campaign, draw_rig, simulate_campaign
 from balance_cli.steps.calibrate import calibrate
-from balance_cli.steps.cross_checks import cross_check, flag_contradicted_runs
+from balance_cli.steps.cross_checks import compare_static_response, cross_check, flag_contradicted_runs
 from balance_cli.steps.identify import identify
 from balance_cli.steps.reduce import reduce_run
 from balance_cli.steps.reduction_inputs import zero_reference
+from balance_cli.steps.trim_agreement import trim_findings
 from studies.clean_campaigns import covered_share, rows_of_run
 from tests.support.other_rigs import other_rig, short_campaign
 
@@ -334,19 +335,26 @@ def mishap_row(day: TestDay, name: str) -> dict[str, object]:
             warned += [step] if findings else []
             if step == "calibrate":
                 calibration = calibrate(used, day.geometry)
+                warned += [step] if trim_findings(calibration) and step not in warned else []
             elif step == "identify":
                 model = identify(measured_spectra(used, day.geometry), day.geometry)
             else:
-                zero = zero_reference([run for run in runs if run.kind == "zero"], calibration)
-                source = model_source(model)
-                reduced = {run.name: reduce_run(run, day.geometry, calibration, source, zero) for run in used}
-                loads = flag_contradicted_runs(reduced, findings)
+                at_rest = compare_static_response(calibration, model_source(model), model.geometry)
+                warned += [step] if at_rest and step not in warned else []
+                loads = flag_contradicted_runs(_reduce(day, runs, calibration, model), (*at_rest, *findings))
         except UserError as error:
             refused.append(step)
             said = said or str(error)
             break
     row = {"mishap": name, "check": said[:200], "refused": " ".join(refused), "warned": " ".join(warned)}
     return {**row, "chi2/dof": round(model.quality.chi2_per_dof, 2), **_judge(day, loads)}
+
+
+def _reduce(day: TestDay, runs: Sequence[Run], calibration: Calibration, model: IdentifiedModel) -> dict[str, RunLoads]:
+    """Return the loads of the check and wind runs."""
+    zero, source = zero_reference([run for run in runs if run.kind == "zero"], calibration), model_source(model)
+    used = [run for run in runs if run.kind in ("check", "wind")]
+    return {run.name: reduce_run(run, day.geometry, calibration, source, zero) for run in used}
 
 
 def _check(geometry: Geometry, runs: Sequence[Run]) -> str:

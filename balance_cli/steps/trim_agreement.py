@@ -1,6 +1,6 @@
 """Whether the trims of a calibration were recorded through the same amplifiers: C0 of one trim against that of another.
 
-A nonlinear rig has another C0 in each trim, but not by one factor in all of its channels.
+A nonlinear rig has another C0 in each trim, but not by one factor in most of its channels.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ SAME_FACTOR = 0.005
 """Departure of the factor of a channel from the common one by which it still is that factor."""
 FEWEST_CHANNELS = 3
 """Channels with one factor; two may share it by accident."""
+MOST_SHARE = 0.6
+"""Of the channels that must have the factor: a torque meter has an amplifier of its own."""
 
 
 def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, ...]:
-    """Return a warning for each trim whose channels all read one factor times what they read in the first trim.
+    """Return a warning for each trim whose channels mostly read one factor times what they read in the first trim.
 
     The same loads are compared. Nothing without a calibration, with one trim, or without standard errors.
     """
@@ -33,11 +35,13 @@ def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, 
     first, *others = calibration.trims.values()
     findings = []
     for other in others:
-        factor = _common_factor(first, other)
-        if factor is None:
+        common = _common_factor(first, other)
+        if common is None:
             continue
+        factor, channels = common
+        which = "all channels" if set(channels) >= set(other.channel_names) else ", ".join(channels)
         text = (
-            f"all channels of trim `{other.trim}` read {factor:.4g} times what they read in trim `{first.trim}` "
+            f"{which} of trim `{other.trim}` read {factor:.4g} times what they read in trim `{first.trim}` "
             "for the same loads (another amplifier or supply, or loads in another unit?)"
         )
         findings.append(
@@ -46,6 +50,7 @@ def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, 
                 severity=WARNING,
                 text=text,
                 runs=(*first.runs, *other.runs),
+                channels=channels,
                 factor=factor,
                 trims=(first.trim, other.trim),
             )
@@ -53,23 +58,22 @@ def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, 
     return tuple(findings)
 
 
-def _common_factor(first: TrimCalibration, other: TrimCalibration) -> float | None:
-    """Return C0 of one trim over that of another, where it is one factor in all channels and not one."""
+def _common_factor(first: TrimCalibration, other: TrimCalibration) -> tuple[float, tuple[str, ...]] | None:
+    """Return C0 of one trim over that of another, and the channels, where most have one factor that is not one."""
     channels = [name for name in first.channel_names if name in other.channel_names]
     components = [name for name in first.components if name in other.components]
     before, after = _readings(first, channels, components), _readings(other, channels, components)
     variance = before[1] ** 2 + after[1] ** 2
-    if len(channels) < FEWEST_CHANNELS or not np.all(np.isfinite(variance)) or np.any(variance <= 0.0):
+    if not channels or not np.all(np.isfinite(variance)) or np.any(variance <= 0.0):
         return None
-    product, power = (before[0] * after[0] / variance).sum(axis=1), (before[0] ** 2 / variance).sum(axis=1)
-    read = power > 0.0
-    if not read.any():
+    power = (before[0] ** 2 / variance).sum(axis=1)
+    factors = (before[0] * after[0] / variance).sum(axis=1) / np.where(power > 0.0, power, np.inf)
+    limits = LARGEST_SIGMAS / np.sqrt(np.where(power > 0.0, power, np.finfo(float).tiny))
+    common = float(np.median(factors))
+    alike = (np.abs(factors - common) < np.maximum(SAME_FACTOR, limits)) & (np.abs(factors - 1.0) > limits)
+    if abs(common - 1.0) < LEAST_CHANGE or alike.sum() < max(FEWEST_CHANNELS, MOST_SHARE * len(channels)):
         return None
-    common, sigma = float(product[read].sum() / power[read].sum()), float(1.0 / np.sqrt(power[read].sum()))
-    if abs(common - 1.0) < max(LEAST_CHANGE, LARGEST_SIGMAS * sigma):
-        return None
-    apart = np.abs(product[read] / power[read] - common)
-    return common if np.all(apart < np.maximum(SAME_FACTOR, LARGEST_SIGMAS / np.sqrt(power[read]))) else None
+    return common, tuple(name for name, is_alike in zip(channels, alike, strict=True) if is_alike)
 
 
 def _readings(trim: TrimCalibration, channels: list[str], components: list[str]) -> tuple[Array, Array]:
