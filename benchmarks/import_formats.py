@@ -77,6 +77,20 @@ def write_hdf5(path: Path, data: np.ndarray) -> Reader:
     return read
 
 
+def write_matlab_73(path: Path, data: np.ndarray) -> Reader:
+    """As MATLAB saves vectors with `-v7.3`: a dataset each, compressed, behind a header block of 512 bytes."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for k in range(CHANNELS):
+            file.create_dataset(f"c{k}", data=data[None, :, k], chunks=(1, 65536), compression=3)
+            file[f"c{k}"].attrs["MATLAB_class"] = np.bytes_("single")
+
+    def read(path: Path) -> object:
+        with h5py.File(path) as file:
+            return [file[f"c{k}"][0] for k in range(CHANNELS)]
+
+    return read
+
+
 def write_wav(path: Path, data: np.ndarray) -> Reader:
     wavfile.write(path, RATE, (data * 4000).astype(np.int16))
     return lambda path: wavfile.read(path)[1].astype(np.float64)
@@ -127,6 +141,7 @@ FORMATS = {
     "TDMS": write_tdms,
     "MDF4": write_mdf,
     "MAT 5": write_mat,
+    "MAT 7.3": write_matlab_73,
     "HDF5": write_hdf5,
     "WAV, 16 bit": write_wav,
     "Parquet": write_parquet,
