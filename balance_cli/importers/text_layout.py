@@ -35,6 +35,8 @@ _NUMBER = {
     ".": re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$|^[-+]?inf(inity)?$", re.IGNORECASE),
     ",": re.compile(r"^[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?$|^[-+]?inf(inity)?$", re.IGNORECASE),
 }
+_KEY = re.compile(r"^[A-Za-z][\w -]*:$")
+"""The first cell of a row of a head that says what the others are, as imc writes it: `Name:`, `Unit:`, `dx:`."""
 _CLOCK = re.compile(
     r"^(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]?)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?[AP]M|Z|[+-]\d\d:?\d\d)?$",
     re.IGNORECASE,
@@ -46,11 +48,11 @@ _RATE = re.compile(
 )
 """Between the word and its number only signs and a unit: `default sample rate <tab> DMS_1` states none."""
 _STEP = re.compile(
-    r"^\W*(?:delta[ _]?[xt]|dt|time[ _]step|(?:sampl\w*|time)[ _]interval|abtastintervall)\b[^\w\n]*(?:s\b[^\w\n]*)?"
-    r"([0-9]*[.,]?[0-9]+(?:e[-+]?[0-9]+)?)(?=\s|$)",
+    r"^\W*(?:delta[ _]?[xt]|d[tx]|time[ _]step|(?:sampl\w*|time)[ _]interval|abtastintervall)\b[^\w\n]*(?:s\b[^\w\n]*)?"
+    r"([0-9]*[.,]?[0-9]+(?:e[-+]?[0-9]+)?)(?=[\s;]|$)(?![ \t]*[muµ]s\b)",
     re.IGNORECASE | re.MULTILINE,
 )
-"""A time step [s], as LabVIEW (`Delta_X`) and catman (`DT = `) state it."""
+"""A time step [s], as LabVIEW (`Delta_X`), catman (`DT = `) and imc (`dx:`) state it."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,8 @@ def _begins_wider_rows(rows: Sequence[Sequence[str]], last: int, width: int, dec
 
 
 def _is_data(row: Sequence[str], decimal: str) -> bool:
+    if row and _KEY.match(row[0]):
+        return False
     values = [cell for cell in row if cell.lower() not in MISSING_WORDS]
     numbers = sum(bool(_NUMBER[decimal].match(cell)) for cell in values)
     clocks = sum(bool(_CLOCK.match(cell)) for cell in values)
@@ -214,6 +218,9 @@ def _names_and_units(
     """Names and units of the columns from the rows above the data, `column 1` and so on where there are none."""
     width = len(data[0])
     candidates = [k for k, row in enumerate(header) if any(row) and abs(len(row) - width) <= 1]
+    keys = {header[k][0].rstrip(":").lower(): k for k in candidates if _KEY.match(header[k][0])}
+    if "name" in keys and layout.name_row is None:
+        return _keyed_names(header, keys, width)
     unit_row = layout.unit_row - 1 if layout.unit_row else None
     if unit_row is None and layout.name_row is None and len(candidates) > 1 and _are_units(header[candidates[-1]]):
         unit_row = candidates[-1]
@@ -226,6 +233,16 @@ def _names_and_units(
     plain = tuple(name if has_names else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
     from_names = [unit or "" for _, unit in pairs]
     return plain, tuple(_strip_unit(unit) or own for unit, own in zip(units, from_names, strict=True))
+
+
+def _keyed_names(
+    header: Sequence[Sequence[str]], keys: dict[str, int], width: int
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of a head with a key in the first cell of each row, above a column of its own or none."""
+    unit_row = next((keys[key] for key in ("unit", "einheit", "y-unit") if key in keys), None)
+    rows = [["", *row[1:]] if len(row) <= width else row[1:] for row in header]
+    names, units = _padded(rows, keys["name"], width), _padded(rows, unit_row, width)
+    return tuple(names), tuple(_strip_unit(unit) for unit in units)
 
 
 def _padded(rows: Sequence[Sequence[str]], row: int | None, width: int) -> list[str]:

@@ -45,7 +45,8 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     times = [group.channels[group.time] for group in first.groups if group.time is not None]
     time = times[0] if times else _time_channel(first) or _even_column(first)
     _require_signals(first, channels, time)
-    rest = [channel for channel in channels if channel is not time and channel not in times]
+    ignored = [time, *times, *_empty_times(first)]
+    rest = [channel for channel in channels if not any(channel is other for other in ignored)]
     tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
     rest = [channel for channel in rest if channel is not tachometer]
     loads, rest = _guess_loads(rest)
@@ -75,6 +76,17 @@ def _time_channel(file: ForeignFile) -> ForeignChannel | None:
             if is_time and group.samples and np.isfinite(group.read([column], 0, 1)).all():
                 return channel
     return None
+
+
+def _empty_times(file: ForeignFile) -> list[ForeignChannel]:
+    """The channels with the name of a time and without a value: LabVIEW writes an empty `X_Value`."""
+    return [
+        channel
+        for group in file.groups
+        for column, channel in enumerate(group.channels)
+        if _last_name(channel) in TIME_NAMES and not group.unusable and group.samples
+        if np.isnan(group.read([column], 0, 1)).all()
+    ]
 
 
 def _even_column(file: ForeignFile) -> ForeignChannel | None:

@@ -6,6 +6,7 @@ import scipy.io
 
 from balance_cli.importers import open_foreign
 from balance_cli.io.errors import UserError
+from balance_cli.steps.import_sketch import sketch_map
 
 TIME = np.arange(400) / 1000.0
 X = np.random.default_rng(1).uniform(-1, 1, (400, 3))
@@ -40,6 +41,22 @@ def test_columns_without_times_have_the_step_of_the_header(tmp_path):
         tmp_path, LABVIEW + "***End_of_Header***\t\t\t\t\n\tVoltage_0\tVoltage_1\tVoltage_2\tComment\n" + "".join(rows)
     )
     assert file.scalars == {"sample_rate": 500.0} and np.allclose(whole(file, "Voltage_1"), X[:, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(("step", "rate"), [("0.002", 500.0), ("2,0E-3 s", 500.0), ("2 ms", None)])
+def test_the_step_in_a_head_of_imc_is_the_rate(tmp_path, step, rate):
+    rows = "".join("\t" + "\t".join(f"{x:.6f}" for x in row[:2]) + "\n" for row in X)
+    head = f"Name:\tKraft_1\tKraft_2\nUnit:\tV\tV\ndx:\t{step}\t{step}\n"
+    file = opened(tmp_path, head + rows)
+    assert file.scalars.get("sample_rate") == rate
+    assert np.allclose(whole(file, "Kraft_1"), X[:, 0], atol=1e-6)
+
+
+def test_an_empty_time_column_is_no_channel_of_a_sketch(tmp_path):
+    rows = "".join("\t" + "\t".join(f"{x:.6f}" for x in row) + "\t\n" for row in X)
+    names = "***End_of_Header***\t\t\t\t\nX_Value\tVoltage_0\tVoltage_1\tVoltage_2\tComment\n"
+    text = sketch_map([opened(tmp_path, LABVIEW + names + rows)], None)
+    assert "X_Value" not in text and "Voltage_0" in text and "sample_rate: 500" in text
 
 
 def test_a_summary_below_the_data_is_refused_and_a_remark_left_out(tmp_path):
