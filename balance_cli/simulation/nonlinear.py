@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,12 @@ class NonlinearForces:
     @property
     def has_springs(self) -> bool:
         """Whether a part of any force depends only on the elongation."""
-        return bool(np.any(self.k2) or np.any(self.k3) or np.any(self.stop))
+        return bool(np.any(self.k2) or np.any(self.k3) or self.has_stops)
+
+    @cached_property
+    def has_stops(self) -> bool:
+        """Whether any force has stops; asked twice in each step, and looked up once."""
+        return bool(np.any(self.stop))
 
     def contact(self, d: Array, before: Array, held: Array) -> Array:
         """Contact forces at elongations d that were `before` when the contacts held the forces `held`."""
@@ -55,8 +61,8 @@ class NonlinearForces:
     def spring(self, d: Array) -> Array:
         """The part that depends only on the elongation."""
         force: Array = (self.k2 + self.k3 * d) * d * d
-        if np.any(self.stop):
-            force = force + self.stop * (np.maximum(d - self.gap, 0.0) + np.minimum(d + self.gap, 0.0))
+        if self.has_stops:
+            force = force + self.stop * (d - np.minimum(np.maximum(d, -self.gap), self.gap))
         return force
 
     def tangent_stiffness(self, d: Array, before: Array, held: Array) -> Array:

@@ -18,6 +18,7 @@ from click.testing import CliRunner
 
 import balance_cli
 from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.cli import balance
 from balance_cli.estimation.identified_model import IdentifiedModel
@@ -29,9 +30,9 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
-from balance_cli.simulation import true_rig
+from balance_cli.simulation import CampaignPlan, SweepPlan, true_rig
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from tests.support.effect_checks import (
     KNOWN_MASS_RIG,
@@ -89,10 +90,16 @@ def test_no_effect_is_named_outside_its_file():
 # ---- found in simulated campaigns ------------------------------------------------------------------------------------
 
 
-def truth(name, where=(), *, geometry=RIG, spin=0.0, bias=0.0, **parameters):
+def together(period=2.0, periods=8):
+    """Two static runs and one sweep of all components, each on lines of its own: quicker than a sweep of each."""
+    levels = {"excited": COMPONENTS, "level": tuple(HIGH_SWEEP_LEVELS[name] for name in COMPONENTS)}
+    return CampaignPlan(runs=(*static_plans(), SweepPlan(run="sweep", period=period, periods=periods, **levels)))
+
+
+def truth(name, where=(), *, plan=None, geometry=RIG, spin=0.0, bias=0.0, **parameters):
     """The effect of the simulation that has the same name; a choice is declared to begin with."""
     true = DeclaredEffect(name=name, where=where, parameters=parameters)
-    plan = campaign(spinning=spin > 0)
+    plan = plan or campaign(spinning=spin > 0)
     words = {name: value for name, value in parameters.items() if isinstance(value, str)}
     return TrueEffect(where, parameters, lambda rig: apply_effects(rig, [true]), plan, spin, geometry, words, bias)
 
@@ -134,12 +141,12 @@ TRUTHS = {
         "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e3, stiffness_y=1e3, stiffness_z=4e3, damping_time=1e-3
     ),
     "cell-misalignment": truth("cell-misalignment", ("z1",), angle_1=2e-4, angle_2=-3e-4),
-    "cell-position": truth("cell-position", ("z1",), offset_1=2e-4, offset_2=-3e-4),
+    "cell-position": truth("cell-position", ("z1",), plan=together(), offset_1=2e-4, offset_2=-3e-4),
     "transverse-stiffness": truth("transverse-stiffness", ("all",), stiffness=500.0),
     "structural-damping": truth("structural-damping", ("all",), loss_factor=6e-4, causality=1.0),
     "cubic-stiffness": truth("cubic-stiffness", ("x",), k3=3e11, side="inside"),
     "quadratic-stiffness": truth("quadratic-stiffness", ("z1",), k2=-3e8, side="beside"),
-    "free-play": truth("free-play", ("x",), stiffness=2e4, gap=2e-6),
+    "free-play": truth("free-play", ("x",), plan=campaign(periods=8), stiffness=2e4, gap=2e-6),
     # The elongations at which a contact turns round are read with noise: its force is off by 0.1 to 1 %, depending on
     # the record. Its sigma, which knows of the noise on the lines alone, is 0.05 to 0.08 % here.
     "dry-friction": truth("dry-friction", ("x",), force=0.5, stick_stiffness=1.5e6, bias=0.005),
@@ -156,7 +163,7 @@ TRUTHS = {
     "high-pass": truth("high-pass", ("x.piezo",), cutoff=0.03),
     "time-delay": truth("time-delay", ("z1.piezo",), delay=1e-6),
     "crosstalk": truth("crosstalk", ("x.strain", "z1.strain"), fraction=1e-3),
-    "saturation": truth("saturation", ("x.strain",), compression=0.08),
+    "saturation": truth("saturation", ("x.strain",), plan=together(), compression=0.08),
     "exciter-mass": truth("exciter-mass", ("Fz",), mass=0.02),
     "load-gain": truth("load-gain", ("Fx",), gain=1.0005),
     "load-delay": truth("load-delay", ("Fy",), delay=-2e-6),
