@@ -34,14 +34,15 @@ Below it the series zeros would explain most of the variation of some loads, and
 """
 
 TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST = "last", "first", "split-last", "split-first"
-EACH_TARE, EACH_RETURN, EACH_SIGN = "each", "each-return", "each-sign"
-TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE, EACH_SIGN, EACH_RETURN)
+EACH_TARE, EACH_RETURN, EACH_SIGN, EACH_CLOSING = "each", "each-return", "each-sign", "each-closing"
+TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE, EACH_SIGN, EACH_RETURN, EACH_CLOSING)
 """Where the tare points of load series stand.
 
 `last`: an unloaded row between two series closes the earlier one; `first`: it opens the later one; `split-last` and
 `split-first`: the same, but two unloaded rows in succession belong to one series each; `each`: a series opens wherever
 the loads return to their first value at once, also where the same load is varied again; `each-return`: also where they
-return to it by a step of the ramp, as between the two directions of a load; `each-sign`: also where a load changes its
+return to it by a step of the ramp, as between the two directions of a load; `each-closing`: as `each-return`, but the
+return is to the last value of the loads and closes a series; `each-sign`: also where a load changes its
 sign from one row to the next, as between two directions whose tare points stand in their midst.
 """
 
@@ -71,6 +72,9 @@ def determines_loads(x: Array, load_series: Index, runs: Index) -> bool:
 
 def split_rows(x: Array, position: str = TARE_LAST) -> Index:
     """Number (m,) from 0 of the load series of each row of one run, loads x (m, n)."""
+    if position == EACH_CLOSING:
+        backwards = split_rows(x[::-1], EACH_RETURN)
+        return np.asarray(backwards[-1] - backwards[::-1], np.intp)
     if position in (TARE_FIRST, SPLIT_FIRST, EACH_TARE, EACH_RETURN, EACH_SIGN):
         # Backwards in time a tare point that opens a series closes it.
         starts = sorted(len(x) - start for start in _starts(x[::-1])[1:])

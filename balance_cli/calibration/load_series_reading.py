@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.load_series import (
+    EACH_CLOSING,
     EACH_RETURN,
     EACH_SIGN,
     EACH_TARE,
@@ -44,9 +45,10 @@ _POSITION_WORDS = {
     SPLIT_FIRST: "load series open and close with a tare point",
     EACH_TARE: "each return to the tare opens a load series",
     EACH_RETURN: "each return to the tare opens a load series",
+    EACH_CLOSING: "each return to the tare closes a load series",
     EACH_SIGN: "each change of sign opens a load series",
 }
-_SPLIT_DIRECTIONS = (EACH_SIGN, EACH_RETURN)
+_SPLIT_DIRECTIONS = (EACH_SIGN, EACH_RETURN, EACH_CLOSING)
 """Readings by which the two directions of a load are two series."""
 
 

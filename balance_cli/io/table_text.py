@@ -141,11 +141,21 @@ def _split_lines(path: Path, lines: Sequence[tuple[int, str]]) -> list[Row]:
     if not lines:
         raise UserError("has no rows", str(path), remedy="Give a table with a head and rows of numbers")
     *signs, space = SEPARATORS
+    faults: list[UserError] = []
     for separator in signs:
-        rows = [(number, _cells(path, number, line, separator)) for number, line in lines]
+        if not any(separator in line for _, line in lines):
+            continue
+        try:
+            rows = [(number, _cells(path, number, line, separator)) for number, line in lines]
+        except UserError as fault:
+            # A quoted cell that another sign follows: the lines may be separated by that one.
+            faults.append(fault)
+            continue
         width, count = Counter(len(cells) for _, cells in rows).most_common(1)[0]
         if width > 1 and count >= MIN_EVEN_SHARE * len(rows) and any(_is_data(cells) for _, cells in rows):
             return rows
+    if faults:
+        raise faults[0]
     rows = [(number, _cells(path, number, line, space)) for number, line in lines]
     if any(len(cells) > 1 and _is_data(cells) for _, cells in rows):
         return rows

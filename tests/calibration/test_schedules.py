@@ -210,6 +210,17 @@ def test_each_direction_opens_and_closes_with_its_tare():
     np.testing.assert_array_equal(split_rows(x, "each"), expected)
 
 
+def test_each_direction_closes_with_its_tare():
+    """Ramps of both directions, each with its own zero, which its last row tells."""
+    steps = np.r_[np.arange(1, 6), np.arange(4, -1, -1)] / 5.0
+    x = np.vstack([np.outer(sign * steps, row) for row in np.eye(6) for sign in (1.0, -1.0)])
+    _, points = recorded(x, series := np.repeat(np.arange(12), len(steps)))
+    whole = calibrate_all_trims(points, choice=LINEAR_TERMS)
+    np.testing.assert_array_equal(whole.load_series, series)
+    assert whole.series_notes == ("s: each return to the tare closes a load series; the readings decide it",)
+    assert whole.outliers == ()
+
+
 def test_directions_whose_tare_stands_in_their_midst_are_two_series():
     """Up, to the tare, and down again; then the other direction, without a tare between them."""
     steps = np.array([0.25, 0.5, 0.75, 1.0, 0.0, 1.0, 0.75, 0.5, 0.25])

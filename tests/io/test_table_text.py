@@ -52,6 +52,13 @@ def test_labels_are_no_numbers(tmp_path: Path) -> None:
         read.numbers(0)
 
 
+@pytest.mark.parametrize("label", ["axial, up", "axial; up", "axial | up"])
+def test_labels_in_quotes_hold_any_separator(tmp_path: Path, label: str) -> None:
+    read = table(tmp_path, f'series,Fx,B1\n"{label}",1,2\n"{label}",3,4\n')
+    assert read.header == ("series", "Fx", "B1")
+    assert read.texts(0) == (label, label)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
