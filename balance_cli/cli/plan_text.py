@@ -129,7 +129,7 @@ def plan_text(planned: PlannedCampaign) -> Iterator[str]:
     """Yield the lines of the console summary."""
     yield f"{len(planned.chosen)} runs in {planned.minutes:.1f} minutes; noise {planned.noise_source}"
     if not planned.complete:
-        yield "the time limit came first: not all runs that the hall allows were tried"
+        yield "the time limit came first: not all runs of the hall were tried, or the forecast has fewer rehearsals"
     if planned.made:
         yield f"already made: {', '.join(planned.made)}"
     yield "Largest level of each component:"

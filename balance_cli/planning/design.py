@@ -152,11 +152,17 @@ def _order_by_setup(problem: Problem, chosen: Sequence[int]) -> list[int]:
     return sorted(chosen, key=lambda i: (setups.index(problem.candidates[i].setup), i))
 
 
-def rank_runs(problem: Problem) -> tuple[RankedRun, ...]:
-    """Every candidate by itself after what is known before, those that teach most per minute first."""
+def rank_runs(problem: Problem, chosen: Sequence[int] = (), deadline: Deadline = NO_DEADLINE) -> tuple[RankedRun, ...]:
+    """Every candidate by itself after what is known before, those that teach most per minute first.
+
+    After the deadline only the chosen ones.
+    """
     before = problem.worth(())
     rows = []
-    for i, candidate in enumerate(problem.candidates):
+    for i in dict.fromkeys((*chosen, *range(len(problem.candidates)))):
+        if i not in chosen and deadline.is_over:
+            break
+        candidate = problem.candidates[i]
         minutes = problem.minutes([i])
         rows.append(RankedRun(candidate.plan.run, minutes, problem.worth([i]) - before, _load_ratio(problem, i)))
     return tuple(sorted(rows, key=lambda row: (-row.worth / row.minutes, row.run)))

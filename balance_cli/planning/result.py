@@ -98,7 +98,7 @@ class PlannedCampaign(ResultView):
 
     `minutes` of hall time; `noise` is that of the plan, and `noise_source` says where it is from; `made` are the
     runs that were made before; `unpredicted` {effect: why} are those of which the theory says nothing.
-    `complete`: no time limit came before all runs were tried.
+    `complete`: no time limit came before all runs were tried, ranked and rehearsed again for the forecast.
     """
 
     rig: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import takewhile
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel
@@ -16,7 +17,7 @@ from balance_cli.planning.candidate_runs import CandidateRun, by_turns, candidat
 from balance_cli.planning.channel_noise import ChannelNoise, planning_noise
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.confusion import confused_pairs
-from balance_cli.planning.deadline import Deadline
+from balance_cli.planning.deadline import NO_DEADLINE, Deadline
 from balance_cli.planning.design import Design, Problem, choose_runs, rank_runs
 from balance_cli.planning.detectability import DetectionLevel
 from balance_cli.planning.extended_model import ExtendedModel, extended_model
@@ -64,7 +65,8 @@ Progress = Callable[[Iterable[CandidateRun], str, int], Iterable[CandidateRun]]
 class PlanOptions:
     """How to plan: `minutes` of hall time, what for, at which level of detection, and what the hall allows.
 
-    After `time_limit` seconds of computing no further runs are rehearsed or exchanged.
+    After `time_limit` seconds of computing nothing more is rehearsed, exchanged or ranked: lines are then flat where
+    their power was not found yet, and the forecast is that of the rehearsals of the choice.
     """
 
     minutes: float
@@ -122,7 +124,7 @@ def plan_campaign(
     # Constraints that cannot hold are met before anything is rehearsed.
     candidate_runs(base.rig.geometry, options.hall, base.settings, base.model.system)
     before = add_information(spectra_information(spectra, base.model), base.model)
-    powers = line_powers(base, options, before, progress)
+    powers = line_powers(base, options, before, deadline, progress)
     candidates = candidate_runs(base.rig.geometry, options.hall, base.settings, base.model.system, powers)
     candidates, information = _rehearse_candidates(base, candidates, options.seed, deadline, progress)
     problem = Problem(
@@ -137,9 +139,16 @@ def plan_campaign(
 
 
 def line_powers(
-    base: PlanningRig, options: PlanOptions, before: RunInformation, progress: Progress | None = None
+    base: PlanningRig,
+    options: PlanOptions,
+    before: RunInformation,
+    deadline: Deadline = NO_DEADLINE,
+    progress: Progress | None = None,
 ) -> Mapping[Component, Power]:
-    """The power of the lines of each component, by one rehearsal of a flat sweep; none where it is to be flat."""
+    """The power of the lines of each component, by one rehearsal of a flat sweep.
+
+    None where it is to be flat, or where the deadline comes before all components were rehearsed.
+    """
     hall, geometry = options.hall, base.rig.geometry
     if hall.spectrum == "flat" or "multisine" not in hall.excitations:
         return {}
@@ -152,6 +161,8 @@ def line_powers(
     shown = band_response(geometry, base.settings.band, base.model.system)
     bands = []
     for item in progress(sweeps, "bands", len(sweeps)) if progress else sweeps:
+        if deadline.is_over:
+            return {}
         assert isinstance(item.plan, SweepPlan)
         spectra = rehearsed_spectra(base.signals.record(item.plan, base.noise, options.seed), geometry)
         dof = spectra.lines[0].dof
@@ -232,7 +243,7 @@ def _describe(
     deadline: Deadline,
 ) -> PlannedCampaign:
     chosen = design.chosen
-    rehearsed = {i: _forecast_information(base, problem, i, options.seed) for i in sorted(set(chosen))}
+    rehearsed = {i: _forecast_information(base, problem, i, options.seed, deadline) for i in sorted(set(chosen))}
     runs = [rehearsed[i] for i in chosen]
     totals = cumulative_information(problem.before, runs, base.model)
     stages = projected_stages(totals, base.model)
@@ -253,7 +264,7 @@ def _describe(
         effects=detectable_effects(stages, base.model, options.detection, base.forecast, (*proposals, *further)),
         unpredicted=unpredicted_effects(base.model, options.hall.effects),
         confusion=confused_pairs(totals[-1], base.model, proposals, further),
-        ranking=rank_runs(problem),
+        ranking=rank_runs(problem, chosen, deadline),
         loads=load_sigma(stages, base.model, base.forecast),
         parameters=parameter_forecasts(stages[0], stages[-1], base.model),
     )
@@ -272,11 +283,13 @@ def _further_information(base: PlanningRig, options: PlanOptions, deadline: Dead
     return tuple(parts)
 
 
-def _forecast_information(base: PlanningRig, problem: Problem, index: int, seed: int) -> RunInformation:
-    """The mean of all rehearsals of a candidate; the first one is that of the choice."""
+def _forecast_information(
+    base: PlanningRig, problem: Problem, index: int, seed: int, deadline: Deadline
+) -> RunInformation:
+    """The mean of all rehearsals of a candidate before the deadline; the first one is that of the choice."""
     plan = problem.candidates[index].plan
-    others = [base.information(plan, (seed + k,)) for k in range(1, REHEARSALS)]
-    return mean_information([problem.information[index], *others], plan.run)
+    seeds = takewhile(lambda _: not deadline.is_over, range(seed + 1, seed + REHEARSALS))
+    return mean_information([problem.information[index], *(base.information(plan, (k,)) for k in seeds)], plan.run)
 
 
 def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:

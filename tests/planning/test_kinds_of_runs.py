@@ -12,6 +12,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.planning.candidate_runs import candidate_runs
 from balance_cli.planning.channel_noise import ChannelNoise
+from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.deadline import Deadline
 from balance_cli.planning.design import Design
 from balance_cli.planning.extended_model import extended_model
@@ -141,6 +142,32 @@ def test_power_goes_where_it_tells_and_keeps_to_its_limit():
     factors = np.array([value for _, value in power])
     # All that is not kept flat (a fifth) goes into the band that tells: 0.2 + 0.8 / 0.25.
     assert factors == pytest.approx([3.4, 0.2]) and factors @ share == pytest.approx(1.0)
+
+
+def test_run_that_lowers_the_cosine_most_is_named():
+    base = balance_model(other_rig("A"))
+    model = extended_model(base, base.parameters.value, ("channel-gain", "time-delay"))
+    names = [item.effect.name for item in model.candidates]
+    i, j = (int(model.indices.tested[names.index(name)][0]) for name in ("channel-gain", "time-delay"))
+
+    def run(name, own, common):
+        """A run that tells `own` of each of the two and `common` of both alike."""
+        matrix = np.zeros((model.size, model.size))
+        matrix[i, i] = matrix[j, j] = 1e12 * own
+        matrix[i, j] = matrix[j, i] = 1e12 * common
+        return RunInformation(name, matrix, 100.0)
+
+    total, alike = run("made", 1.0, 0.999), run("alike", 1.0, 0.999)
+    some, best = run("under weights", 1.0, 0.5), run("with the rotor turning", 1.0, -0.9)
+    (pair,) = confused_pairs(total, model, [alike], [some, best])
+    assert {pair.first.split("@")[0], pair.second.split("@")[0]} == {"channel-gain", "time-delay"}
+    assert (pair.run, pair.further, pair.otherwise) == ("", "with the rotor turning", "")
+    assert (pair.cosine, pair.cosine_with_further) == (pytest.approx(0.999), pytest.approx(0.0495, abs=1e-4))
+    (pair,) = confused_pairs(total, model, [alike, some], [best])
+    assert (pair.run, pair.further) == ("under weights", "") and pair.cosine_with_run == pytest.approx(0.7495, abs=1e-4)
+    (pair,) = confused_pairs(total, model, [alike], [alike])
+    reasons = {item.effect.separated_by for item in model.candidates}
+    assert (pair.run, pair.further) == ("", "") and all(reason in pair.otherwise for reason in reasons)
 
 
 def test_deadline_counts_from_its_start():

@@ -34,7 +34,7 @@ from balance_cli.report.sources import Sources
 from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.identify import identify
-from balance_cli.steps.plan import PlanOptions, plan_campaign, planning_rig
+from balance_cli.steps.plan import PlanningRig, PlanOptions, plan_campaign, planning_rig
 from tests.support.other_rigs import other_rig, short_campaign
 
 EFFECTS = ("channel-gain", "added-mass", "time-delay")
@@ -164,6 +164,22 @@ def test_plan_keeps_to_time_and_exciters(short_plan_a):
     assert all(item.plan.level[0] <= hall.exciters[item.plan.excited[0]].rms for item in planned.chosen)
     after = [item.sizes[-1] for item in planned.effects]
     assert all(np.isfinite(after)) and all(np.isinf(item.sizes[0]) for item in planned.effects)
+
+
+def test_nothing_is_rehearsed_or_ranked_after_the_time_limit(short_plan_a, monkeypatch):
+    _, hall = short_plan_a
+    calls, information = [], PlanningRig.information
+
+    def counted(self, *words):
+        calls.append(words)
+        return information(self, *words)
+
+    monkeypatch.setattr(PlanningRig, "information", counted)
+    shaped = hall.model_copy(update={"spectrum": "optimal"})
+    planned = plan_campaign(other_rig("A"), PlanOptions(minutes=1.0, hall=shaped, time_limit=1e-9))
+    assert not planned.complete and len(calls) == 1
+    assert planned.chosen and len(planned.ranking) == 1
+    assert all(item.plan.power is None or not item.plan.power for item in planned.chosen)
 
 
 def test_same_call_gives_the_same_plan(short_plan_a):
