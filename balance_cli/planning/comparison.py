@@ -19,6 +19,10 @@ Array = NDArray[np.float64]
 
 AS_PLANNED = 0.7
 """Ratio of information below which a run fell short: weights estimated from few lines scatter by a fifth and more."""
+LEAST_SHARE = 1e-2
+"""Share of the planned information on a parameter from which a run counts as one that tells of it.
+
+What a run tells of the others is by the rig's small asymmetries, and is as uncertain as these are."""
 CLEAR_CHANGE = 0.1
 """Relative change of level, noise or steady time that is named as a cause."""
 
@@ -71,20 +75,20 @@ class ExecutedRun:
     planned: RunInformation
 
 
-def compare_run(run: ExecutedRun) -> RunComparison:
-    """Compare one run with its plan."""
+def compare_run(run: ExecutedRun, campaign: Array) -> RunComparison:
+    """Compare one run with its plan; `campaign` (p,): the diagonal of the information that all runs were to give."""
     level = _level(run.lines) / _level(run.rehearsed)
     time = _steady_seconds(run.lines) / _steady_seconds(run.rehearsed)
     ratio = _noise_ratio(run)
-    information = information_ratio(run.achieved.information, run.planned.information)
+    information = information_ratio(run.achieved.information, run.planned.information, campaign)
     causes = tuple(_causes(level, ratio, time, run)) if information < AS_PLANNED else ()
     return RunComparison(run.plan.run, information, level, ratio, time, causes)
 
 
-def information_ratio(achieved: Array, planned: Array) -> float:
-    """Geometric mean of the ratio of the diagonals (p,), over the parameters that both inform about."""
+def information_ratio(achieved: Array, planned: Array, campaign: Array) -> float:
+    """Geometric mean of the ratio of the diagonals (p,), over the parameters of which the run tells its share."""
     made, meant = np.diag(achieved), np.diag(planned)
-    known = (made > 0) & (meant > 0)
+    known = (made > 0) & (meant > LEAST_SHARE * campaign)
     return float(np.exp(np.mean(np.log(made[known] / meant[known])))) if known.any() else 0.0
 
 

@@ -162,7 +162,7 @@ def _confusion_table(forecast: StoredForecast) -> Table:
         other = f" (and {pair.places - 1} other places)" if pair.places > 1 else ""
         remedy = pair.run or (f"none of this hall; {pair.further}" if pair.further else f"no run; {pair.otherwise}")
         cosine = pair.cosine_with_run if pair.run else min(pair.cosine, pair.cosine_with_further)
-        cells = (pair.first, pair.second + other, remedy)
-        rows.append((TableCell(f"{pair.cosine:.4f}"), *plain_row(*cells, f"{cosine:.4f}")))
+        cells = [TableCell(text, mark="text") for text in (pair.first, pair.second + other, remedy)]
+        rows.append((TableCell(f"{pair.cosine:.4f}"), *cells, TableCell(f"{cosine:.4f}")))
     caption = "Effects whose traces are nearly alike after the runs (cosine of their angle; 1: cannot be told apart)."
     return Table(caption, (plain_row(*head),), tuple(rows))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
@@ -45,8 +47,9 @@ def compare_plan(
     names_of_plan = {run.run for run in plan.runs}
     others = [name for name in achieved if name not in names_of_plan]
     before = add_information([achieved[name] for name in others], base.model)
+    campaign = np.diag(sum(run.planned.information for run in executed))
     return PlanComparison(
-        runs=tuple(compare_run(run) for run in executed),
+        runs=tuple(compare_run(run, campaign) for run in executed),
         not_made=tuple(run.run for run in planned if run.run not in lines),
         not_planned=tuple(others),
         sizes=compare_sizes(before, executed, base.model, options.detection),
