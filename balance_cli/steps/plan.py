@@ -288,8 +288,8 @@ def _forecast_information(
 ) -> RunInformation:
     """The mean of all rehearsals of a candidate before the deadline; the first one is that of the choice."""
     plan = problem.candidates[index].plan
-    seeds = takewhile(lambda _: not deadline.is_over, range(seed + 1, seed + REHEARSALS))
-    return mean_information([problem.information[index], *(base.information(plan, (k,)) for k in seeds)], plan.run)
+    later = takewhile(lambda _: not deadline.is_over, range(seed + 1, seed + REHEARSALS))
+    return mean_information([problem.information[index], *(base.information(plan, (k,)) for k in later)], plan.run)
 
 
 def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:
