@@ -67,7 +67,9 @@ def unsteady_loads(
     # Of harmonics only the interval: the transient of a high-pass, which the slowest mode does not tell, is among them.
     duration = windows.turns / float(np.median(windows.speed))
     first, last = record.spectra.interval
-    within = loads[max(len(loads) - int((last - first) / duration), 0) :]
+    start = max(len(loads) - int((last - first) / duration), 0)
+    within = loads[start:]
+    loads[:, 0] = _beyond_transient(loads[:, 0], start, of_harmonics)
     found = unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
     limit = np.maximum(sigma, _material_change(np.abs(within.mean(axis=0))) / 3.0)
     found[1:] = unsteady(within, limit, correlation)[1:]
@@ -78,6 +80,23 @@ def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:
     """Return the correlation of gusts in the harmonics of neighboring windows, as the slowest mode transmits them."""
     duration = windows.turns / float(np.median(windows.speed))
     return float(np.exp(-duration / source.slowest_decay)) if source.slowest_decay > 0 else 0.0
+
+
+def _beyond_transient(means: ComplexArray, start: int, decay: float) -> ComplexArray:
+    """Return the means (w, m), before window `start` by what no transient that fades by `decay` a window explains.
+
+    A transient stays below an envelope that falls from its largest value in the first time constant; what the load
+    itself departs by stays as it is.
+    """
+    if not 0 < start < len(means) or decay <= 0:
+        return means
+    steps = -np.log(decay) * np.arange(start)
+    steady = means[start:].mean(axis=0)
+    departure = means[:start] - steady
+    size = np.abs(departure)
+    envelope = size[steps <= 1.0].max(axis=0) * np.exp(1.0 - steps)[:, None]
+    kept = np.maximum(size - envelope, 0.0) / np.where(size > 0, size, 1.0)
+    return np.concatenate([steady + departure * kept, means[start:]])
 
 
 def _first_revolution(record: RotorRecord, source: ResponseSource) -> int:
