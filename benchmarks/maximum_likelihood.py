@@ -20,10 +20,11 @@ from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, evaluate_batch, exciter_response
+from balance_cli.estimation.likelihood import data_chi2, evaluate_batch
 from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve

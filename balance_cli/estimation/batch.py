@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -21,9 +21,6 @@ WORKERS = 2
 # Bytes of one array of derivatives above which a batch is split. The C library takes larger blocks than this from the
 # system for every array anew, and the system fills their pages with zeros (M_MMAP_THRESHOLD of malloc: 32 MiB at most).
 MAX_DERIVATIVE_BYTES = 2**25
-# Complex values of a product that is formed part by part: 2 MiB, about the cache that a core has for itself. Products
-# of a whole run, 200 MB with the parameters of all candidate effects, took longer, most of it for new pages.
-CACHED_VALUES = 2**17
 
 
 @dataclass(frozen=True)
@@ -118,12 +115,6 @@ class Batch:
     def line_frequency(self) -> Array:
         """Frequency (K,) [Hz] of each line."""
         return self.frequency[self.lines.index]
-
-
-def cached_parts(values: ComplexArray) -> Iterator[slice]:
-    """Slices of the lines (K, ...) whose intermediate products stay in the processor's cache."""
-    rows = max(1, CACHED_VALUES * len(values) // max(values.size, 1))
-    return (slice(start, start + rows) for start in range(0, len(values), rows))
 
 
 def select_lines(batch: Batch, mask: Mask) -> Batch:

@@ -20,18 +20,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import WORKERS, Batch, cached_parts, split_large_batches
+from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
 from balance_cli.estimation.channel_distortions import RunDistortions, channel_distortions
+from balance_cli.estimation.inner_products import real_inner_product
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.estimation.transients import (
     RunTransient,
     TransientTerms,
+    add_transient_derivatives,
     eliminate_transient,
     fit_transients,
-    transient_derivatives,
 )
 from balance_cli.model.exciter_loads import true_load_derivatives, true_loads
 from balance_cli.model.response_jacobian import output_jacobian
@@ -48,16 +49,16 @@ class BatchEvaluation:
     """One batch at one parameter vector, transients and interference subtracted.
 
     `loads` (K, 6) are estimated; `residual` (K, c) is that of the channels about the measured loads, `weighted` (K, c)
-    the weighted residual S r, `chi2` (K,) that of each line. `downdate` is the reduction of the precision by the
-    eliminated loads; `nonlinear` are the forces along the springs and the distortions of channels that are not linear,
-    `mains_tones` the interference in each run.
+    the weighted residual S r, `chi2` (K,) that of each line. `precision` P (K, c, c) has the loads eliminated;
+    `nonlinear` are the forces along the springs and the distortions of channels that are not linear, `mains_tones` the
+    interference in each run.
     """
 
     loads: ComplexArray
     weighted: ComplexArray
     residual: ComplexArray
     chi2: Array
-    downdate: tuple[ComplexArray, ComplexArray] | None
+    precision: ComplexArray
     transients: tuple[RunTransient, ...]
     nonlinear: tuple[RunCellForces | RunDistortions, ...]
     mains_tones: tuple[MainsTone, ...]
@@ -97,10 +98,10 @@ def evaluate_batch(
         residual -= batch.lines.constant_volts[:, None] * system.equations.channel_offset.value
     for run in nonlinear:
         residual[run.lines] -= run.volts(system)
-    downdate = None if batch.has_exact_loads else _downdate(batch, columns)
+    precision, load_influence = _eliminate_loads(batch, columns)
 
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
-        return _apply_weight(batch, downdate, lines, values)
+        return np.asarray(np.matmul(precision[lines], values), complex)
 
     shared = SharedSolutions(system) if shared is None else shared
     transients = fit_transients(batch, shared, residual, apply_weight, derivatives)
@@ -111,13 +112,11 @@ def evaluate_batch(
         residual[transient.lines] -= transient.columns @ transient.x
     weighted = apply_weight(slice(None), residual[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
-    if downdate is not None:
-        SM, normal = downdate
+    if load_influence is not None:
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
-        right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
-        loads = loads + np.linalg.solve(normal, right)[:, :, 0]
+        loads = loads + np.matmul(load_influence, residual[:, :, None])[:, :, 0]
     six_loads = _expand_to_six_components(batch, loads)
-    return BatchEvaluation(six_loads, weighted, residual, chi2, downdate, transients, tuple(nonlinear), tones)
+    return BatchEvaluation(six_loads, weighted, residual, chi2, precision, transients, tuple(nonlinear), tones)
 
 
 def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
@@ -129,29 +128,18 @@ def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
     )
 
 
-def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """(S M)_Y (K, c, u) and M' S M (K, u, u) for the columns T (K, c, u) of the excited loads."""
-    c = batch.lines.channels.shape[1]
-    S = batch.lines.precision
+def _eliminate_loads(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:
+    """P (K, c, c), and the change of the loads (K, u, c) per unit residual; for columns T (K, c, u) of the loads.
+
+    None in place of the second where the loads carry no noise.
+    """
+    c, S = batch.lines.channels.shape[1], batch.lines.precision
+    if batch.has_exact_loads:
+        return S[:, :c, :c], None
     SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
     normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
-    return SM[:, :c], np.asarray(normal, complex)
-
-
-def _apply_weight(
-    batch: Batch, downdate: tuple[ComplexArray, ComplexArray] | None, lines: slice, values: ComplexArray
-) -> ComplexArray:
-    """P times columns (k, c, q) at these lines; the eliminated loads enter as a second, small product."""
-    c = batch.lines.channels.shape[1]
-    precision = batch.lines.precision[lines, :c, :c]
-    weighted = np.empty(values.shape, complex)
-    for part in cached_parts(values):
-        np.matmul(precision[part], values[part], out=weighted[part])
-        if downdate is not None:
-            SM, normal = downdate[0][lines][part], downdate[1][lines][part]
-            correction = np.linalg.solve(normal, np.matmul(SM.conj().swapaxes(1, 2), values[part]))
-            weighted[part] -= np.matmul(SM, correction)
-    return weighted
+    influence = np.linalg.solve(normal, SM[:, :c].conj().swapaxes(1, 2))
+    return np.asarray(S[:, :c, :c] - np.matmul(SM[:, :c], influence), complex), np.asarray(influence, complex)
 
 
 def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray:
@@ -208,8 +196,7 @@ class BatchDerivatives:
 
     def gradient(self) -> Array:
         """Half the gradient (p,) of chi-square."""
-        p = self.derivatives.shape[2]
-        gradient = -2.0 * np.real(self.derivatives.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
+        gradient = -2.0 * real_inner_product(self.derivatives, self.fit.weighted[:, :, None])[:, 0]
         gradient = gradient + sum(term.gradient for term in self.transient_terms)
         return np.asarray(gradient + sum(term.gradient for term in self.tone_terms))
 
@@ -220,11 +207,11 @@ class BatchDerivatives:
 
     def weighted(self) -> ComplexArray:
         """P dY (K, c, p), with the true loads eliminated."""
-        return _apply_weight(self.batch, self.fit.downdate, slice(None), self.derivatives)
+        return np.asarray(np.matmul(self.fit.precision, self.derivatives), complex)
 
     def information(self, weighted: ComplexArray, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of 2 Re sum dY* P dY."""
-        information = 2.0 * _real_inner_product(self.derivatives[:, :, rows], weighted[:, :, columns])
+        information = 2.0 * real_inner_product(self.derivatives[:, :, rows], weighted[:, :, columns])
         for term in self._further_terms:
             information = information + term.information(rows, columns)
         return np.asarray(information)
@@ -240,17 +227,6 @@ class BatchDerivatives:
         return [of_blocks[i] if i in of_blocks else diagonal[block][:, None] for i, block in enumerate(blocks)]
 
 
-def _real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
-    """Re sum over lines and channels of left* right, (K, n, a) and (K, n, b): (a, b)."""
-    a, b = left.shape[2], right.shape[2]
-    product = np.zeros((a, b))
-    for part in cached_parts(left if a > b else right):
-        first, second = left[part].reshape(-1, a), right[part].reshape(-1, b)
-        # The imaginary part of the complex product, half of its work, is not needed.
-        product += first.real.T @ second.real + first.imag.T @ second.imag
-    return product
-
-
 def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | None = None) -> BatchDerivatives:
     """The batch at one parameter vector, with the derivatives of all its lines; `shared` with other batches."""
     shared = SharedSolutions(system) if shared is None else shared
@@ -258,7 +234,7 @@ def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | No
     fit = evaluate_batch(batch, system, solution, derivatives=True, shared=shared)
     derivatives = channel_derivatives(batch, system, solution, fit)
     for transient in fit.transients:
-        derivatives[transient.lines] += transient_derivatives(transient)
+        add_transient_derivatives(transient, derivatives[transient.lines])
     tone_terms = tuple(tone.curvature(derivatives[tone.form.lines]) for tone in fit.mains_tones)
     transient_terms = tuple(eliminate_transient(run, derivatives[run.lines]) for run in fit.transients)
     return BatchDerivatives(batch, fit, derivatives, transient_terms, tone_terms)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.inner_products import real_inner_product
 from balance_cli.estimation.tone_columns import tone_columns
 from balance_cli.estimation.transients import RunTransient
 from balance_cli.model.mechanics.equations import InterferenceTone
@@ -55,13 +56,12 @@ class LikelihoodForm:
             return weighted
         # Solved for the left factor, which has few columns; the right one may hold the derivatives by all parameters.
         transient_columns = self.transient.weighted.reshape(len(weighted), -1)
-        return np.asarray(weighted - transient_columns @ self.transient.amplitudes(self.transient_products(left)))
+        return np.asarray(weighted - transient_columns @ self.transient.solve(self.transient_products(left)))
 
     def transient_products(self, columns: ComplexArray) -> Array:
         """Weighted inner products (2m, q) of the transient's columns with columns (k, c, q)."""
         assert self.transient is not None
-        weighted = self.transient.weighted
-        return 2.0 * np.real(weighted.reshape(-1, weighted.shape[2]).conj().T @ columns.reshape(-1, columns.shape[2]))
+        return 2.0 * real_inner_product(self.transient.weighted, columns)
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def mains_tones(
                 continue
             residual[lines] -= tone.columns @ tone.expected
             if transient is not None:
-                correction = transient.amplitudes(form.transient_products(tone.columns) @ tone.expected)
+                correction = transient.solve(form.transient_products(tone.columns) @ tone.expected)
                 by_start[lines.start] = replace(transient, x=transient.x - correction)
             tones.append(tone)
     return tuple(tones), tuple(by_start[transient.lines.start] for transient in transients)

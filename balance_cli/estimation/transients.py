@@ -4,10 +4,10 @@ A window of N samples, whole periods of the line, from t_f to t_e contains of a 
 
     Z(w) = (v/N) (exp(s t_f) - exp(s t_e)) / (1 - exp((s - jw) h)),        Y = Z(w) + conj Z(-w),
 
-h being the step between samples. The complex amplitudes a (m,) of the modes at t = 0 are unknown in every run: as 2m
-real numbers x they enter Y = C x linearly. The start of a high-pass filter is one of them, with real s and v: its
-imaginary amplitude is in no line, and stays zero. The lines do not determine what has decayed by t_f; there a prior
-holds the amplitude within a multiple of the rms of the channels: 0 = Q x with unit variance.
+h being the step between samples. The amplitudes a (m,) of the modes at t = 0 are unknown in every run: as real numbers
+x, the real parts of all and the imaginary parts of those that oscillate, they enter Y = C x linearly. The start of a
+high-pass filter has real s, v and a. The lines do not determine what has decayed by t_f; there a prior holds the
+amplitude within a multiple of the rms of the channels: 0 = Q x with unit variance.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch, BatchRun
+from balance_cli.estimation.inner_products import real_inner_product
 from balance_cli.estimation.shared_solutions import SharedSolutions
-from balance_cli.model.response_jacobian import mask_or_full_slice
+from balance_cli.model.response_jacobian import Selection, mask_or_full_slice
 from balance_cli.model.transient_modes import TransientModes, divided_differences
 from balance_cli.signals.waveform_types import AnalysisWindow
 
@@ -42,10 +43,10 @@ MIN_SIGNAL_RATIO = 1e-9
 
 @dataclass(frozen=True)
 class RunTransient:
-    """The transient of one run in its `lines`: window, modes `free`, columns C (K, c, 2m) and `weighted` P C.
+    """The transient of one run in its `lines`: window, modes `free`, columns C (K, c, q) and `weighted` P C.
 
-    `prior_weight` (c,) [1/V] is one over the largest transient of each channel, `bound` Q (c, 2m) that times the motion
-    at t = 0; `normal` (2m, 2m) = 2 Re C* P C + Re Q* Q; `x` (2m,) is the estimate.
+    `prior_weight` (c,) [1/V] is one over the largest transient of each channel, `bound` Q (c, q) that times the motion
+    at t = 0; `normal` (q, q) = 2 Re C* P C + Re Q* Q; `x` (q,) is the estimate.
     """
 
     lines: slice
@@ -60,12 +61,19 @@ class RunTransient:
     x: Array
 
     @property
+    def amplitudes(self) -> ComplexArray:
+        """Amplitudes a (m,) of the modes at t = 0."""
+        a = self.x[: len(self.free.s)].astype(complex)
+        a[: self.free.oscillating] += 1j * self.x[len(a) :]
+        return a
+
+    @property
     def chi2(self) -> float:
         """Chi-square |Q x|^2 of the prior."""
         return float(np.sum(np.abs(self.bound @ self.x) ** 2))
 
-    def amplitudes(self, right: Array) -> Array:
-        """Amplitudes (2m, ...) from the right-hand side of their normal equations."""
+    def solve(self, right: Array) -> Array:
+        """The solution x (q, ...) of the normal equations for another right-hand side."""
         return _solve_scaled(self.normal, right)
 
     @property
@@ -129,11 +137,9 @@ def _fit_transient(
     prior_weight: Array,
     residual: ComplexArray,
 ) -> RunTransient:
-    m2 = columns.shape[2]
-    bound = prior_weight[:, None] * np.concatenate([free.volts, 1j * free.volts], axis=1)
-    flat = weighted.reshape(-1, m2).conj().T
-    normal = 2.0 * np.real(flat @ columns.reshape(-1, m2)) + np.real(bound.conj().T @ bound)
-    x = _solve_scaled(normal, 2.0 * np.real(flat @ residual.reshape(-1)))
+    bound = prior_weight[:, None] * np.concatenate([free.volts, 1j * free.volts[:, : free.oscillating]], axis=1)
+    normal = 2.0 * real_inner_product(weighted, columns) + np.real(bound.conj().T @ bound)
+    x = _solve_scaled(normal, 2.0 * real_inner_product(weighted, residual[:, :, None])[:, 0])
     return RunTransient(lines, window, frequency, free, columns, weighted, prior_weight, bound, normal, x)
 
 
@@ -155,27 +161,53 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
 
 
 def transient_columns(free: TransientModes, window: AnalysisWindow, frequency: Array) -> ComplexArray:
-    """C (K, c, 2m): the lines of the transient per unit of the real, then of the imaginary parts of a."""
+    """C (K, c, q): the lines of the transient per unit of the real parts of a, then of its imaginary parts.
+
+    A mode with volts v has A v a + B conj(v a), with A = Z(w) / v and B = conj(Z(-w) / v).
+    """
     starts, index = np.unique(window.start, return_inverse=True)
-    decay = _window_decay(free.s, starts, window)[0][index]
-    each = [(decay * _resolvent(free.s, w, window))[:, None, :] * free.volts for w in _both_signs(frequency)]
-    return _real_columns(each[0], each[1].conj())
+    decay, m = _window_decay(free.s, starts, window)[0][index], len(free.s)
+    A, B = (decay * _resolvent(free.s, w, window) for w in _both_signs(frequency))
+    of_a, of_conjugate = A[:, None, :] * free.volts, B.conj()[:, None, :] * free.volts.conj()
+    columns = np.empty((len(A), len(free.volts), m + free.oscillating), complex)
+    np.add(of_a, of_conjugate, out=columns[:, :, :m])
+    np.subtract(of_a[:, :, : free.oscillating], of_conjugate[:, :, : free.oscillating], out=columns[:, :, m:])
+    columns[:, :, m:] *= 1j
+    return columns
 
 
-def transient_derivatives(fit: RunTransient) -> ComplexArray:
-    """Derivatives (K, c, p) of C x by the parameters."""
-    free = fit.free
-    p, c, m = free.volts_derivative.shape
-    parts = [_transient_with_change(free, fit.window, w, _to_complex(fit.x)) for w in _both_signs(fit.frequency)]
-    motion, change = (np.concatenate([plus, minus.conj()], axis=1) for plus, minus in zip(*parts, strict=True))
-    read = np.concatenate([free.volts_derivative, free.volts_derivative.conj()], axis=2)
-    derivatives = np.asarray((motion @ read.transpose(2, 1, 0).reshape(2 * m, c * p)).reshape(-1, c, p), complex)
-    # Most parameters of a score test change how the motion is read and not the motion itself.
-    moving = mask_or_full_slice(np.any(free.s_derivative, axis=(1, 2)))
-    moved = np.concatenate([free.s_derivative[moving], free.s_derivative[moving].conj()], axis=1)
+def add_transient_derivatives(fit: RunTransient, derivatives: ComplexArray) -> None:
+    """Add the derivatives of C x by the parameters to `derivatives` (K, c, p), in place."""
+    amplitudes, m = fit.amplitudes, fit.free.oscillating
+    for part, a in ((fit.free.select(slice(m)), amplitudes[:m]), (fit.free.select(slice(m, None)), amplitudes[m:])):
+        # Most parameters of a score test change how the motion is read, not the motion itself, and no filter.
+        moved, read = (np.any(each, axis=(1, 2)) for each in (part.s_derivative, part.volts_derivative))
+        if not np.any(moved | read):
+            continue
+        parts = [_transient_with_change(part, fit.window, w, a) for w in _both_signs(fit.frequency)]
+        motion, change = (np.concatenate([plus, minus.conj()], axis=1) for plus, minus in zip(*parts, strict=True))
+        if read.any():
+            _add_reading_derivatives(derivatives, part.volts_derivative, mask_or_full_slice(read), motion)
+        if moved.any():
+            _add_motion_derivatives(derivatives, part, mask_or_full_slice(moved), change)
+
+
+def _add_reading_derivatives(
+    derivatives: ComplexArray, volts_derivative: ComplexArray, own: Selection, motion: ComplexArray
+) -> None:
+    """Add those by what the channels read of a motion and its conjugate (K, 2m), in place."""
+    read = np.concatenate([volts_derivative[own], volts_derivative[own].conj()], axis=2)
+    p, c, m2 = read.shape
+    derivatives[:, :, own] += (motion @ read.transpose(2, 1, 0).reshape(m2, c * p)).reshape(-1, c, p)
+
+
+def _add_motion_derivatives(
+    derivatives: ComplexArray, part: TransientModes, own: Selection, change: ComplexArray
+) -> None:
+    """Add those by the matrix S, with the factors `change` (K, 2m, m) of the motion and its conjugate, in place."""
+    moved = np.concatenate([part.s_derivative[own], part.s_derivative[own].conj()], axis=1)
     inner = np.matmul(change.swapaxes(0, 1), moved.transpose(1, 2, 0)).swapaxes(0, 1)
-    derivatives[:, :, moving] += np.concatenate([free.volts, free.volts.conj()], axis=1) @ inner
-    return derivatives
+    derivatives[:, :, own] += np.concatenate([part.volts, part.volts.conj()], axis=1) @ inner
 
 
 def _transient_with_change(
@@ -199,7 +231,7 @@ def _transient_with_change(
 class TransientTerms:
     """Terms of gradient and information that follow from the elimination of a run's transient.
 
-    `gradient` (p,) is added to half the gradient. With `bound` B (c, p), `cross` X (2m, p) and `normal` N (2m, 2m) the
+    `gradient` (p,) is added to half the gradient. With `bound` B (c, p), `cross` X (q, p) and `normal` N (q, q) the
     information gains Re B* B - X' N^-1 X.
     """
 
@@ -221,27 +253,15 @@ class TransientTerms:
 
 def eliminate_transient(fit: RunTransient, derivatives: ComplexArray) -> TransientTerms:
     """The terms of a run's transient in the gradient and information of derivatives (K, c, p)."""
-    p = derivatives.shape[2]
-    d_bound = fit.prior_weight[:, None] * (fit.free.volts_derivative @ _to_complex(fit.x)).T
+    d_bound = fit.prior_weight[:, None] * (fit.free.volts_derivative @ fit.amplitudes).T
     gradient = np.real(d_bound.conj().T @ (fit.bound @ fit.x))
-    weighted = fit.weighted.reshape(-1, len(fit.x)).conj().T
-    cross = 2.0 * np.real(weighted @ derivatives.reshape(-1, p)) + np.real(fit.bound.conj().T @ d_bound)
+    cross = 2.0 * real_inner_product(fit.weighted, derivatives) + np.real(fit.bound.conj().T @ d_bound)
     return TransientTerms(gradient, d_bound, cross, fit.normal)
 
 
 def _both_signs(frequency: Array) -> Sequence[Array]:
     w = 2 * np.pi * frequency
     return w, -w
-
-
-def _to_complex(x: Array) -> ComplexArray:
-    m = len(x) // 2
-    return np.asarray(x[:m] + 1j * x[m:])
-
-
-def _real_columns(positive: ComplexArray, negative: ComplexArray) -> ComplexArray:
-    """Columns of real and imaginary parts, where the latter enter with their conjugates in `negative`."""
-    return np.concatenate([positive + negative, 1j * (positive - negative)], axis=-1)
 
 
 def _window_decay(s: ComplexArray, starts: Array, window: AnalysisWindow) -> tuple[ComplexArray, ComplexArray]:

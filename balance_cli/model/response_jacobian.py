@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+Selection = Mask | slice
 
 
 def multiply_derivatives(derivatives: Array, vectors: ComplexArray) -> ComplexArray:
@@ -26,24 +27,27 @@ def multiply_derivatives(derivatives: Array, vectors: ComplexArray) -> ComplexAr
     return np.asarray((vectors @ flat).reshape(len(vectors), a, p))
 
 
-def spring_force_jacobian(
+def _force_volts_jacobian(
     system: System,
     solution: Solution,
     index: Index,
     loads: ComplexArray,
-    extra: SpringInputs | None = None,
-    selection: Mask | slice = slice(None),
+    extra: SpringInputs | None,
+    selection: Selection,
 ) -> ComplexArray:
-    """Derivatives (K, e, p) of the spring forces for given loads (K, 6) and extra forces at lines `index` (K,)."""
+    """Derivatives (K, c, p) of the volts by way of the springs' forces, for given gains and before mixing."""
     x, change = _motion_and_change(system, solution, index, loads, extra, selection)
-    derivatives = solution.force_influence[index] @ change
-    derivatives = derivatives + multiply_derivatives(system.readings.derivative[selection], x)
+    springs, gains = system.springs_of_channels, solution.gains
+    matrices, vectors = [system.readings.derivative], [x]
     if system.readings_loss.derivative.any():
         frequency = solution.frequency[index][:, None]
-        quadrature, logarithmic = 1j * np.sign(frequency) * x, log_frequency_ratio(frequency) * x
-        derivatives += multiply_derivatives(system.readings_loss.derivative[selection], quadrature)
-        derivatives += multiply_derivatives(system.readings_frequency_stiffness.derivative[selection], logarithmic)
-    return np.asarray(derivatives)
+        matrices += [system.readings_loss.derivative, system.readings_frequency_stiffness.derivative]
+        vectors += [1j * np.sign(frequency) * x, log_frequency_ratio(frequency) * x]
+    of_readings = np.concatenate([part[selection][:, springs] for part in matrices], axis=2)
+    derivatives = multiply_derivatives(of_readings, np.concatenate(vectors, axis=1))
+    derivatives *= gains[index][:, :, None]
+    derivatives += (gains[:, :, None] * solution.force_influence[:, springs])[index] @ change
+    return derivatives
 
 
 def hub_motion_jacobian(system: System, solution: Solution, index: Index, loads: ComplexArray) -> ComplexArray:
@@ -60,7 +64,7 @@ def _motion_and_change(
     index: Index,
     loads: ComplexArray,
     extra: SpringInputs | None,
-    selection: Mask | slice,
+    selection: Selection,
 ) -> tuple[ComplexArray, ComplexArray]:
     """The motion x (K, n) and the change (K, n, p) of its excitation, dF u - dA x, for the selected parameters."""
     pencil = system.pencil
@@ -98,13 +102,12 @@ def output_jacobian(
     """
     springs, mixing = system.springs_of_channels, system.equations.mixing
     forces = spring_forces(system, solution, index, loads, extra)
-    gains = solution.gains[index]
-    volts = gains * forces[:, springs]
+    volts = solution.gains[index] * forces[:, springs]
     moving = mask_or_full_slice(structural_parameters(system))
-    derivatives = np.zeros((len(index), len(springs), system.parameters), complex)
-    derivatives[:, :, moving] = (
-        gains[:, :, None] * spring_force_jacobian(system, solution, index, loads, extra, moving)[:, springs]
-    )
+    derivatives = _force_volts_jacobian(system, solution, index, loads, extra, moving)
+    if not isinstance(moving, slice):
+        of_forces, derivatives = derivatives, np.zeros((*volts.shape, system.parameters), complex)
+        derivatives[:, :, moving] = of_forces
     _add_gain_derivatives(derivatives, system, solution, index, volts)
     if np.any(mixing.value != np.eye(len(springs))):
         derivatives = mixing.value @ derivatives
@@ -144,6 +147,6 @@ def structural_parameters(system: System) -> Mask:
     return np.asarray(np.any([part.derivative.any(axis=(1, 2)) for part in parts], axis=0))
 
 
-def mask_or_full_slice(selection: Mask) -> Mask | slice:
+def mask_or_full_slice(selection: Mask) -> Selection:
     """The selected parameters (p,), or all of them where most are selected: copying a part of the last axis is slow."""
     return selection if 2 * np.count_nonzero(selection) < len(selection) else slice(None)

@@ -35,13 +35,22 @@ UNOBSERVABLE_SHARE = 1e-10
 class TransientModes:
     """Exponents s (m,) [1/s] of modes and high-passes, and the volts (c, m) of each at t = 0 and unit amplitude.
 
-    Derivatives by the parameters: `s_derivative` (p, m, m) of the matrix S, `volts_derivative` (p, c, m).
+    The first `oscillating` are modes; high-passes follow, with real s, volts and amplitude. Derivatives by the
+    parameters: `s_derivative` (p, m, m) of the matrix S, `volts_derivative` (p, c, m).
     """
 
     s: ComplexArray
     volts: ComplexArray
     s_derivative: ComplexArray
     volts_derivative: ComplexArray
+    oscillating: int
+
+    def select(self, part: slice) -> TransientModes:
+        """A part of them that the parameters change independently of the others."""
+        s, oscillating = self.s[part], len(range(self.oscillating)[part])
+        return TransientModes(
+            s, self.volts[:, part], self.s_derivative[:, part, part], self.volts_derivative[:, :, part], oscillating
+        )
 
 
 def transient_modes(
@@ -72,13 +81,13 @@ def _structural_transients(
     volts = system.equations.mixing.value @ (gains * forces)
     if not with_derivatives:
         none, unread = np.zeros((0, len(s), len(s)), complex), np.zeros((0, *volts.shape), complex)
-        return TransientModes(s + shift, volts, none, unread)
+        return TransientModes(s + shift, volts, none, unread, len(s))
     dX, dS = _invariant_pair_derivatives(system, spin, (M, D), s, left, X)
     dS[:, np.arange(len(s)), np.arange(len(s))] += d_shift.T
     d_forces = (system.readings.derivative @ X + system.readings.value @ dX)[:, springs]
     d_volts = gains * d_forces + _gain_function_derivatives(system, s, gains, forces, dS)
     d_volts = system.equations.mixing.value @ d_volts + system.equations.mixing.derivative @ (gains * forces)
-    return TransientModes(s + shift, volts, dS, d_volts)
+    return TransientModes(s + shift, volts, dS, d_volts, len(s))
 
 
 def _observable_modes(system: System, right: ComplexArray) -> NDArray[np.bool_]:
@@ -100,7 +109,7 @@ def _high_pass_transients(system: System, fastest_decay: float, with_derivatives
             s_derivative[:, i, i] = -rate.derivative
     mixing = system.equations.mixing
     volts_derivative = mixing.derivative[:p, :, channels].astype(complex)
-    return TransientModes(s, mixing.value[:, channels].astype(complex), s_derivative, volts_derivative)
+    return TransientModes(s, mixing.value[:, channels].astype(complex), s_derivative, volts_derivative, 0)
 
 
 def _join(first: TransientModes, second: TransientModes) -> TransientModes:
@@ -109,7 +118,8 @@ def _join(first: TransientModes, second: TransientModes) -> TransientModes:
     s_derivative = np.zeros((len(first.s_derivative), len(s), len(s)), complex)
     s_derivative[:, :m, :m], s_derivative[:, m:, m:] = first.s_derivative, second.s_derivative
     volts_derivative = np.concatenate([first.volts_derivative, second.volts_derivative], axis=2)
-    return TransientModes(s, np.concatenate([first.volts, second.volts], axis=1), s_derivative, volts_derivative)
+    volts = np.concatenate([first.volts, second.volts], axis=1)
+    return TransientModes(s, volts, s_derivative, volts_derivative, first.oscillating)
 
 
 def _pencil_matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
