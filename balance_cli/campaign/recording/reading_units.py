@@ -86,7 +86,7 @@ def reading_unit_faults(contents: RunFileContents) -> Iterator[UserError]:
     layout = contents.channels
     if layout is None or len(layout.shape) != 2 or len(layout.names) != layout.shape[1]:
         return
-    fault = next(_unit_faults(layout), None)
+    fault = next(_unit_faults(layout), None) or next(_scale_faults(contents), None)
     if fault is not None:
         yield fault
         return
@@ -159,6 +159,24 @@ def _unit_faults(layout: DatasetLayout) -> Iterator[UserError]:
             parse_unit(unit, *READING_UNITS)
         except UserError:
             yield UserError(f"its unit is {unit or 'missing'}", place=place, remedy=remedy)
+
+
+def _scale_faults(contents: RunFileContents) -> Iterator[UserError]:
+    """Yield readings of a dynamic run in parts of a volt, unless they are those of bridges with their excitation.
+
+    The samples of such a run are volts: nothing in them tells a unit that is misstated from weak signals. The known
+    weights of a static run do, and ratios are another quantity.
+    """
+    assert contents.channels is not None
+    has_supply = contents.excitation is not None or contents.channel_excitation is not None
+    if contents.attributes.get("kind") == "static" or has_supply:
+        return
+    units = _stated_units(contents.channels)
+    scaled = [name for name in _volt_channels(contents.channels) if parse_unit(units[name], VOLTAGE).factor != 1.0]
+    for name in scaled[:1]:
+        fault = f"the unit of `{name}` is {units[name]}, in a run that is not static"
+        remedy = "Write its samples in V; `balance import` converts units"
+        yield UserError(fault, place="channels, attribute unit", remedy=remedy)
 
 
 def _volt_channels(layout: DatasetLayout) -> list[str]:
