@@ -126,8 +126,26 @@ def no_state_space_error(method: str, path: str = "") -> UserError:
     )
 
 
+class ResponseWithoutModel:
+    """What all responses share that no model describes: they are linear, and no diagnosis has judged them."""
+
+    @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """None: no diagnosis has judged the channels."""
+        return {}
+
+    @property
+    def system(self) -> System | None:
+        """None: there are no equations of motion."""
+        return None
+
+    def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
+        """Return the run itself: the response is linear."""
+        return run
+
+
 @dataclass(frozen=True)
-class TransferSource:
+class TransferSource(ResponseWithoutModel):
     """Measured responses, one per component, interpolated by one of `choices.INTERPOLATIONS`."""
 
     channel_names: tuple[str, ...]
@@ -144,20 +162,6 @@ class TransferSource:
     def is_contradicted(self) -> bool:
         """Never: what was measured contains the error that it has."""
         return False
-
-    @property
-    def untrusted_channels(self) -> dict[str, str]:
-        """None: no diagnosis has judged the channels."""
-        return {}
-
-    @property
-    def system(self) -> System | None:
-        """None: a measured response has no equations of motion."""
-        return None
-
-    def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
-        """Return the run itself: the response is linear."""
-        return run
 
     @property
     def description(self) -> str:
@@ -195,7 +199,7 @@ class TransferSource:
 
 
 @dataclass(frozen=True)
-class StaticSource:
+class StaticSource(ResponseWithoutModel):
     """The static matrix C0 at every frequency, as if the balance had no dynamics."""
 
     channel_names: tuple[str, ...]
@@ -211,20 +215,6 @@ class StaticSource:
     def is_contradicted(self) -> bool:
         """Always: it leaves out the dynamics that every balance has at the harmonics."""
         return True
-
-    @property
-    def untrusted_channels(self) -> dict[str, str]:
-        """None: no diagnosis has judged the channels."""
-        return {}
-
-    @property
-    def system(self) -> System | None:
-        """None: the static matrix has no equations of motion."""
-        return None
-
-    def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
-        """Return the run itself: the response is linear."""
-        return run
 
     @property
     def description(self) -> str:
