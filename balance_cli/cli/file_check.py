@@ -192,7 +192,8 @@ def _gap_faults(run: Run, path: Path) -> Iterator[UserError]:
         remedy = "Commands interpolate them, and sigma contains the error"
         if run.kind == "static":
             remedy = "Commands leave these load points out"
-        yield UserError(fault, str(path), f"channel {name}", remedy)
+        place = f"channel {name}" if name in run.channel_names else f"loads, {name}"
+        yield UserError(fault, str(path), place, remedy)
 
 
 def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:

@@ -147,6 +147,7 @@ STATIC = {
     "no trim": (attribute("trim"), "trim"),
     "channels all zero": (data("channels", lambda a: a * 0), "channels", ("calibrate",)),
     "loads all zero": (data("loads", lambda a: a * 0), "", ("calibrate",)),
+    "loads NaN": (data("loads", lambda a: np.where(np.arange(len(a))[:, None] == 9, NAN, a)), "loads", ("check",)),
     "three rows": (lambda f: [data(name, lambda a: a[:3])(f) for name in ("channels", "loads")], "", ("calibrate",)),
     "attitude of 1e11 rows": (declare("attitude", (10**11, 2), chunks=(10**6, 2)), "attitude"),
 }
