@@ -84,7 +84,7 @@ def split_rows(x: Array, position: str = TARE_LAST) -> Index:
     if position in (SPLIT_LAST, SPLIT_FIRST):
         starts = [_between_tares(x, start) for start in starts]
     if position in (EACH_TARE, EACH_RETURN, EACH_SIGN):
-        base = np.zeros_like(x[0]) if position == EACH_SIGN else x[0]
+        base = np.zeros_like(x[0]) if position == EACH_SIGN or _unloaded(x).any() else x[0]
         returns = _returns_to_load(x, base, 0.0 if position == EACH_RETURN else LARGE_STEP_RATIO)
         # Of two tare points the loads may have taken the other one.
         others = [start for start in starts if all(abs(start - row) >= MIN_SERIES_ROWS for row in returns)]
@@ -96,6 +96,11 @@ def split_rows(x: Array, position: str = TARE_LAST) -> Index:
 
 def _starts(x: Array) -> list[int]:
     return _drop_constant_series(_series_starts(np.abs(np.diff(x, axis=0)) > MIN_LOAD_CHANGE), x)
+
+
+def _unloaded(x: Array) -> NDArray[np.bool_]:
+    """Rows (m,) without load: where there are any, they and no first load are the tare points."""
+    return np.asarray(np.all(np.abs(x) <= MIN_LOAD_CHANGE, axis=1))
 
 
 def _between_tares(x: Array, start: int) -> int:

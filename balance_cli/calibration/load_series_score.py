@@ -71,7 +71,8 @@ class ReadingScore:
     def is_general(self, few: Index, many: Index) -> bool:
         """Whether most of the series of one reading (m,) that another one splits are fitted better by the latter.
 
-        A wrong gain in one series resembles a shifted zero between its two directions.
+        A wrong gain, or two channels exchanged, in one series resembles a shifted zero between its two directions: a
+        single one of several series, or one of two, decides nothing.
         """
         few, many = few[self._rows], many[self._rows]
         errors = [self._errors(np.unique(block, return_inverse=True)[1]) for block in (few, many)]
@@ -80,7 +81,9 @@ class ReadingScore:
         gain = np.mean((errors[0] / self._scale) ** 2 - (errors[1] / self._scale) ** 2, axis=1)
         split = [name for name in np.unique(few) if len(np.unique(many[few == name])) > 1]
         gains = [float(np.sum(gain[few == name])) for name in split]
-        return bool(gains) and float(np.median(gains)) > np.log(len(few))
+        if len(gains) < min(2, len(np.unique(few))):
+            return False
+        return bool(np.sort(gains)[(len(gains) - 1) // 2] > np.log(len(few)))
 
     def _robust_scale(self, load_series: Index) -> Array:
         """Robust standard deviation (c,) of the errors of one reading (m,); infinite where it determines no loads."""

@@ -77,9 +77,29 @@ def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) ->
             break
         excluded, included = excluded | further, included.exclude_rows(further)
         fit = fit_calibration_model(included, choice)
+    excluded, fit = _include_predicted_rows(points, included, fit, excluded, choice)
     if stopped:
         notes = (*notes, f"{int(np.count_nonzero(excluded))} rows were excluded as outliers, and more remain")
     return ScreenedFit(fit, describe_outliers(points, fit, excluded), suspect_series, notes)
+
+
+def _include_predicted_rows(
+    points: CalibrationPoints, included: CalibrationPoints, fit: CalibrationModelFit, excluded: Mask, choice: TermChoice
+) -> tuple[Mask, CalibrationModelFit]:
+    """Include excluded rows (m,) that the final fit predicts: they stood out beside errors since excluded themselves.
+
+    Returns the rows that stay excluded, and the fit. Nothing changes where the fit with them does not predict a row.
+    """
+    fitted = np.unique(points.load_series[np.isfinite(fit.residuals).all(axis=1)])
+    candidates = excluded & np.isin(points.load_series, fitted) & ~misplaced_rows(points)
+    with_candidates = replace(included, weight=np.where(candidates, points.weight, included.weight))
+    ratio = _prediction_ratio(with_candidates, fit, candidates)
+    predicted = candidates & (ratio <= _limit(included, fit))
+    if not predicted.any():
+        return excluded, fit
+    further = replace(included, weight=np.where(predicted, points.weight, included.weight))
+    again = fit_calibration_model(further, choice)
+    return (excluded, fit) if _largest_outlier(further, again) is not None else (excluded & ~predicted, again)
 
 
 def _most_outliers(points: CalibrationPoints) -> int:

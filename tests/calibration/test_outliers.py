@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import fit_calibration_model
-from balance_cli.calibration.outliers import screen_outliers
+from balance_cli.calibration.outliers import _include_predicted_rows, screen_outliers
 from balance_cli.calibration.suspect_series import _find_suspect_series, find_swapped_channels
 from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
 from balance_cli.calibration.terms import term_values
@@ -87,6 +87,26 @@ def test_two_channels_swapped_in_one_load_series():
     assert {(one.channel, one.resembled_channel) for one in found.suspect_series} == {("g3", "g6"), ("g6", "g3")}
     assert {one.load_series for one in found.suspect_series} == {"stand rows 81 to 100 (My)"}
     assert terms_found(found.fit) == CURVED_NAMES
+
+
+@pytest.mark.parametrize(("series", "channels"), [(0, [1, 6]), (3, [0, 4]), (5, [2, 7]), (40, [2, 5])])
+def test_two_channels_swapped_in_one_load_series_decide_no_reading_of_the_others(series, channels):
+    """The two directions of its load then seem to have a zero each."""
+    points = stand_points()
+    rows = points.load_series == series
+    swapped = points.channels.copy()
+    swapped[np.ix_(rows, channels)] = swapped[np.ix_(rows, channels[::-1])]
+    np.testing.assert_array_equal(replace(points, channels=swapped).load_series, points.load_series)
+
+
+def test_a_row_that_the_final_fit_predicts_is_included_again():
+    points = spoiled(lambda channels, _: channels.__setitem__((321, 3), channels[321, 3] + 15 * NOISE))
+    excluded = np.isin(np.arange(len(points.weight)), [100, 321])
+    included = points.exclude_rows(excluded)
+    fit = fit_calibration_model(included)
+    excluded, fit = _include_predicted_rows(points, included, fit, excluded, SEARCHED)
+    np.testing.assert_array_equal(np.flatnonzero(excluded), [321])
+    assert np.isfinite(fit.residuals[100]).all() and np.isnan(fit.residuals[321]).all()
 
 
 def test_two_channels_swapped_in_all_runs():
