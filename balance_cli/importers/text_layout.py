@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.text_clock import CLOCK
+from balance_cli.importers.text_names import KEY, counts_rows, names_and_units
+from balance_cli.importers.text_numbers import group_sign, is_missing, is_number, require_clear_decimals
 from balance_cli.importers.time_columns import time_columns
 from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_cells import SEPARATORS, is_remark
-from balance_cli.io.units import is_unit, split_unit
 
-MISSING_WORDS = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "1.#ind", "-1.#ind", "1.#qnan")
-"""Cells without a value, in lower case."""
 NUMERIC_SHARE = 0.5
 """Share of the cells of a row that must be numbers, times or empty for a row of data; a row of names has hardly any."""
 TYPICAL_ROWS = 50
@@ -28,19 +28,6 @@ FEWEST_SPARSE_ROWS = 4
 NUMERIC_COLUMN_SHARE = 0.9
 """Share of the cells of a column that must be numbers for a column of numbers: a word among them (`Max`, `overload`) is
 then a fault of its row, where a column of labels has hardly any number."""
-UNIT_SHARE = 0.5
-"""Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""
-
-_NUMBER = {
-    ".": re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$|^[-+]?inf(inity)?$", re.IGNORECASE),
-    ",": re.compile(r"^[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?$|^[-+]?inf(inity)?$", re.IGNORECASE),
-}
-_KEY = re.compile(r"^[A-Za-z][\w -]*:$")
-"""The first cell of a row of a head that says what the others are, as imc writes it: `Name:`, `Unit:`, `dx:`."""
-_CLOCK = re.compile(
-    r"^(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]?)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?[AP]M|Z|[+-]\d\d:?\d\d)?$",
-    re.IGNORECASE,
-)
 _RATE = re.compile(
     r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|messrate|\bfs)\b[^\w\n]*(?:(k?hz)\b[^\w\n]*)?"
     r"([0-9]+(?:[.,][0-9]+)?)\s*(k?hz)?",
@@ -48,11 +35,18 @@ _RATE = re.compile(
 )
 """Between the word and its number only signs and a unit: `default sample rate <tab> DMS_1` states none."""
 _STEP = re.compile(
-    r"^\W*(?:delta[ _]?[xt]|d[tx]|time[ _]step|(?:sampl\w*|time)[ _]interval|abtastintervall)\b[^\w\n]*(?:s\b[^\w\n]*)?"
+    r"^\W*(?:delta[ _]?[xt]|d[tx]|x-axis delta|time[ _]step|(?:sampl\w*|time)[ _]interval|abtastintervall)\b"
+    r"[^\w\n]*(?:s\b[^\w\n]*)?"
     r"([0-9]*[.,]?[0-9]+(?:e[-+]?[0-9]+)?)(?=[\s;]|$)(?![ \t]*[muµ]s\b)",
     re.IGNORECASE | re.MULTILINE,
 )
 """A time step [s], as LabVIEW (`Delta_X`), catman (`DT = `) and imc (`dx:`) state it."""
+COLUMN_CLOCKS = ("delta_x", "dx", "x0")
+"""First cells of rows with the step or the start of each column, in lower case without a colon."""
+COMMENTS = ("comment", "comments", "remark", "kommentar", "bemerkung")
+"""Names of columns that are no channels where they are empty: LabVIEW writes one in every file."""
+MOST_COLUMNS, LEAST_SHAPE = 100, 0.1
+"""A table of more columns with fewer rows for each has the channels in its rows: no logger writes it otherwise."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +56,7 @@ class Columns:
     `first_row` counts from 0. `numeric` are the columns of numbers, `clock` those of dates or times of day; others are
     text, or empty without a name. `sparse` are columns of a lower rate that share the rows of the others: the first row
     of data with a value, and the rows from one to the next. `times` are columns of times, each of those behind it,
-    where there are several.
+    where there are several. `group_sign` stands between thousands.
     """
 
     encoding: str
@@ -76,6 +70,7 @@ class Columns:
     stated_rate: float | None = None
     sparse: dict[int, tuple[int, int]] = field(default_factory=dict)
     times: tuple[int, ...] = ()
+    group_sign: str = ""
 
 
 def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -> Columns:
@@ -101,22 +96,67 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     _, separator, decimal, first = best
     rows = [split_cells(line, separator) for line in lines]
     if layout.first_row is None:
+        first += first == 0 and _is_row_of_numbers_as_names(rows, decimal)
         _require_one_block(rows[:first], decimal)
-    names, units = _names_and_units(rows[:first], rows[first:], layout)
+        _require_plausible_shape(rows, first, separator, is_whole)
+    names, units = names_and_units(rows[:first], rows[first:], layout)
     numeric, clock = _column_kinds(rows[first:], decimal, names)
-    rate = _stated_rate(lines[:first])
+    cells = {column: [row[column] for row in rows[first:] if len(row) > column] for column in numeric}
+    if layout.decimal is None:
+        for column in numeric:
+            require_clear_decimals(cells[column], decimal, names[column])
     sparse = _sparse_columns(rows[first:], numeric)
     dense = [column for column in numeric if column not in sparse]
     times = time_columns(rows[first:], decimal, dense, list(zip(names, units, strict=True)))
-    return Columns(encoding, separator, decimal, first, names, units, numeric, clock, rate, sparse, times)
+    if len(times) < 2:
+        _require_one_clock(rows[:first])
+    sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
+    return Columns(
+        *(encoding, separator, decimal, first, names, units, numeric, clock),
+        *(_stated_rate(lines[:first]), sparse, times, sign),
+    )
+
+
+def _is_row_of_numbers_as_names(rows: Sequence[Sequence[str]], decimal: str) -> bool:
+    """Whether the first row has numbers for names: words or 0, 1, 2 ... above columns of other numbers."""
+    if len(rows) < 3:
+        return False
+    cells = [cell for cell in rows[0] if not is_missing(cell)]
+    words = [cell for cell in cells if not is_number(cell, decimal) and not CLOCK.match(cell)]
+    are_whole = all(cell.isdigit() for cell in cells if cell not in words)
+    has_fractions = any(decimal in cell for row in rows[1:] for cell in row if is_number(cell, decimal))
+    has_words_below = any(word and not is_number(word, decimal) for row in rows[1:] for word in row)
+    return are_whole and has_fractions and (counts_rows(cells) if not words else not has_words_below)
+
+
+def _require_plausible_shape(rows: Sequence[Sequence[str]], first: int, separator: str, is_whole: bool) -> None:
+    """Raise UserError where the comma is separator and decimal sign, or a row is a channel."""
+    width, count = len(rows[first]), len(rows) - first
+    header = next((row for row in reversed(rows[:first]) if any(row)), [])
+    if separator == "," and 2 * len(header) == width and all(cell.lstrip("+-").isdigit() for cell in rows[first]):
+        fault = f"has rows of {width} whole numbers below {len(header)} names: the comma is separator and decimal sign"
+        raise UserError(fault, remedy="Export with semicolons or tabs between the columns")
+    if is_whole and width > MOST_COLUMNS and count < LEAST_SHAPE * width:
+        fault = f"has {count} rows of {width} cells: a row for each channel, where a column was expected"
+        raise UserError(fault, remedy="Export it with a column for each channel")
+
+
+def _require_one_clock(header: Sequence[Sequence[str]]) -> None:
+    """Raise UserError where the head states different steps or starts of columns without times of their own."""
+    for row in header:
+        stated = sorted({cell for cell in row[1:] if cell})
+        if row and row[0].lower().rstrip(":") in COLUMN_CLOCKS and len(stated) > 1:
+            fault = f"has columns with `{row[0]}` of {' and '.join(stated[:3])}, and no times for each of them"
+            remedy = "Export a column of times for each rate, or a file for each rate"
+            raise UserError(fault, remedy=remedy)
 
 
 def _require_one_block(header: Sequence[Sequence[str]], decimal: str) -> None:
     """Raise UserError where rows of numbers stand above the names: the table found is not the first one of the file."""
     run = 0
     for row, cells in enumerate(header):
-        values = [cell for cell in cells if cell.lower() not in MISSING_WORDS]
-        run = run + 1 if len(values) > 1 and all(_NUMBER[decimal].match(cell) for cell in values) else 0
+        values = [cell for cell in cells if not is_missing(cell)]
+        run = run + 1 if len(values) > 1 and all(is_number(cell, decimal) for cell in values) else 0
         if run == FEWEST_BLOCK_ROWS:
             fault = f"has several blocks of rows, one from row {row + 2 - run} and one behind row {len(header)}"
             remedy = "Save each block as a file of its own, or state `first_row` of the last one under `text`"
@@ -127,7 +167,7 @@ def _sparse_columns(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> di
     """Columns with a value in every k-th row only, and none in all others."""
     sparse = {}
     for column in numeric:
-        filled = [k for k, row in enumerate(rows) if len(row) > column and row[column].lower() not in MISSING_WORDS]
+        filled = [k for k, row in enumerate(rows) if len(row) > column and not is_missing(row[column])]
         steps = {after - before for before, after in itertools.pairwise(filled)}
         step = steps.pop() if len(steps) == 1 and len(filled) >= FEWEST_SPARSE_ROWS else 1
         if step > 1 and filled[0] < step and filled[-1] + step >= len(rows):
@@ -144,7 +184,7 @@ def split_cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in line.split(separator)]
 
 
-Score = tuple[int, int, float, int, int]
+Score = tuple[int, int, float, int, int, int]
 
 
 def _lay_out(
@@ -177,8 +217,11 @@ def _lay_out(
     header = next((rows[k] for k in reversed(filled) if k < first), None)
     has_empty_end = all(len(row) < width or not row[-1] for row in rows[first:])
     matches = header is None or len(header) in (width, width - has_empty_end)
+    grouped = sum(
+        bool(group_sign([row[column] for row in rows[first:] if len(row) > column], decimal)) for column in numeric
+    )
     # Integers are numbers with either decimal sign, and the point is then the usual one.
-    return (count, int(matches), share, width, int(decimal == ".")), separator, decimal, first
+    return (count, int(matches), share, -grouped, width, int(decimal == ".")), separator, decimal, first
 
 
 def _begins_wider_rows(rows: Sequence[Sequence[str]], last: int, width: int, decimal: str) -> bool:
@@ -189,11 +232,11 @@ def _begins_wider_rows(rows: Sequence[Sequence[str]], last: int, width: int, dec
 
 
 def _is_data(row: Sequence[str], decimal: str) -> bool:
-    if row and _KEY.match(row[0]):
+    if row and KEY.match(row[0]):
         return False
-    values = [cell for cell in row if cell.lower() not in MISSING_WORDS]
-    numbers = sum(bool(_NUMBER[decimal].match(cell)) for cell in values)
-    clocks = sum(bool(_CLOCK.match(cell)) for cell in values)
+    values = [cell for cell in row if not is_missing(cell)]
+    numbers = sum(is_number(cell, decimal) for cell in values)
+    clocks = sum(bool(CLOCK.match(cell)) for cell in values)
     return numbers > 0 and numbers + clocks >= NUMERIC_SHARE * len(values)
 
 
@@ -203,62 +246,13 @@ def _column_kinds(
     """Columns of numbers, and of clock times; one without values and name is neither."""
     numeric, clock = [], []
     for column, name in enumerate(names):
-        cells = [row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING_WORDS]
-        numbers = sum(bool(_NUMBER[decimal].match(cell)) for cell in cells)
-        if numbers >= NUMERIC_COLUMN_SHARE * len(cells) and (cells or name):
+        cells = [row[column] for row in rows if len(row) > column and not is_missing(row[column])]
+        numbers = sum(is_number(cell, decimal) for cell in cells)
+        if numbers >= NUMERIC_COLUMN_SHARE * len(cells) and (cells or name.lower() not in ("", *COMMENTS)):
             numeric.append(column)
-        elif cells and all(_CLOCK.match(cell) for cell in cells):
+        elif cells and all(CLOCK.match(cell) for cell in cells):
             clock.append(column)
     return tuple(numeric), tuple(clock)
-
-
-def _names_and_units(
-    header: Sequence[Sequence[str]], data: Sequence[Sequence[str]], layout: TextLayout
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the columns from the rows above the data, `column 1` and so on where there are none."""
-    width = len(data[0])
-    candidates = [k for k, row in enumerate(header) if any(row) and abs(len(row) - width) <= 1]
-    keys = {header[k][0].rstrip(":").lower(): k for k in candidates if _KEY.match(header[k][0])}
-    if "name" in keys and layout.name_row is None:
-        return _keyed_names(header, keys, width)
-    unit_row = layout.unit_row - 1 if layout.unit_row else None
-    if unit_row is None and layout.name_row is None and len(candidates) > 1 and _are_units(header[candidates[-1]]):
-        unit_row = candidates[-1]
-    rest = [k for k in candidates if k != unit_row]
-    name_row = layout.name_row - 1 if layout.name_row else (rest[-1] if rest else None)
-    names = _padded(header, name_row, width)
-    units = _padded(header, unit_row, width)
-    pairs = [split_unit(name.lstrip("#").strip()) for name in names]
-    has_names = any(names)
-    plain = tuple(name if has_names else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
-    from_names = [unit or "" for _, unit in pairs]
-    return plain, tuple(_strip_unit(unit) or own for unit, own in zip(units, from_names, strict=True))
-
-
-def _keyed_names(
-    header: Sequence[Sequence[str]], keys: dict[str, int], width: int
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of a head with a key in the first cell of each row, above a column of its own or none."""
-    unit_row = next((keys[key] for key in ("unit", "einheit", "y-unit") if key in keys), None)
-    rows = [["", *row[1:]] if len(row) <= width else row[1:] for row in header]
-    names, units = _padded(rows, keys["name"], width), _padded(rows, unit_row, width)
-    return tuple(names), tuple(_strip_unit(unit) for unit in units)
-
-
-def _padded(rows: Sequence[Sequence[str]], row: int | None, width: int) -> list[str]:
-    if row is None or not 0 <= row < len(rows):
-        return [""] * width
-    cells = list(rows[row])[:width]
-    return cells + [""] * (width - len(cells))
-
-
-def _strip_unit(text: str) -> str:
-    return text.strip().strip("[]()").strip()
-
-
-def _are_units(row: Sequence[str]) -> bool:
-    cells = [_strip_unit(cell.lstrip("#")) for cell in row if cell]
-    return bool(cells) and sum(is_unit(cell) for cell in cells) > UNIT_SHARE * len(cells)
 
 
 def _stated_rate(header: Sequence[str]) -> float | None:

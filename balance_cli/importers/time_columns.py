@@ -11,7 +11,8 @@ import numpy as np
 from balance_cli.importers.base import ChannelGroup
 from balance_cli.io.units import is_unit, parse_unit
 
-TIME_NAME = re.compile(r"^(time|zeit|temps|timestamp|x[ _]value|t)([\W_\d].*)?$", re.IGNORECASE)
+TIME_NAME = re.compile(r"^(?:.*/)?(time|zeit|temps|timestamp|x[ _]value|t)([\W_\d].*)?$", re.IGNORECASE)
+"""A group may stand before the name, as in `Untitled/Time`."""
 LARGEST_UNEVENNESS = 0.6
 """Of the mean step: rounded times scatter by half of one."""
 FEWEST_TIMES = 3

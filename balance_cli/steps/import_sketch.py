@@ -13,8 +13,9 @@ import numpy as np
 from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.importers.base import ForeignChannel, ForeignFile
-from balance_cli.importers.time_axis import read_time_axis
+from balance_cli.importers.base import ChannelGroup, ForeignChannel, ForeignFile
+from balance_cli.importers.time_axis import TimeAxis, read_time_axis
+from balance_cli.importers.time_columns import TIME_NAME
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
 from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
@@ -22,6 +23,12 @@ from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
 UNNAMED = "column 1"
 """First column of a text without names."""
+TIMES_READ = 4096
+"""Samples of a column of times from which its step is told."""
+FASTEST_GUESS = 2e6
+"""[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
+RATE_TOLERANCE = 1e-3
+"""Relative difference from which the rate in the head of a file contradicts its times."""
 TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|speed", re.IGNORECASE)
 YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 """Words that YAML does not take for text."""
@@ -72,10 +79,18 @@ def _time_channel(file: ForeignFile) -> ForeignChannel | None:
     """The first channel with the name of a time, and with a value."""
     for group in file.groups:
         for column, channel in enumerate(group.channels):
-            is_time = not group.unusable and _last_name(channel) in TIME_NAMES
+            is_time = not group.unusable and _names_time(channel, column)
             if is_time and group.samples and np.isfinite(group.read([column], 0, 1)).all():
                 return channel
     return None
+
+
+def _names_time(channel: ForeignChannel, column: int) -> bool:
+    """Whether a channel has the name of a time, or begins so and has a unit of time or is the first column."""
+    if _last_name(channel) in TIME_NAMES:
+        return True
+    has_unit = bool(_unit_of(channel.unit, TIME))
+    return bool(TIME_NAME.match(channel.name)) and (has_unit or (not channel.unit and column == 0))
 
 
 def _empty_times(file: ForeignFile) -> list[ForeignChannel]:
@@ -90,15 +105,25 @@ def _empty_times(file: ForeignFile) -> list[ForeignChannel]:
 
 
 def _even_column(file: ForeignFile) -> ForeignChannel | None:
-    """The first of columns without names, where it holds even times."""
+    """The first of columns without names that holds even times, but no numbers of rows."""
     group = file.groups[0]
     if group.rate is not None or group.unusable or group.names[0] != UNNAMED:
         return None
+    for column in range(min(2, len(group.channels))):
+        axis = _axis(group, column)
+        if axis is None:
+            return None
+        if axis.rate != 1.0 or axis.start not in (0.0, 1.0):
+            return group.channels[column]
+    return None
+
+
+def _axis(group: ChannelGroup, column: int) -> TimeAxis | None:
+    """The even times at the beginning of a column, None where they are not."""
     try:
-        read_time_axis(group.read, group.samples)
+        return read_time_axis(lambda _, first, last: group.read([column], first, last), min(group.samples, TIMES_READ))
     except UserError:
         return None
-    return group.channels[0]
 
 
 def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time: ForeignChannel | None) -> None:
@@ -126,6 +151,8 @@ def _about(files: Sequence[ForeignFile]) -> Iterator[str]:
         count = sum(len(group.channels) for group in file.groups)
         yield f"# {file.path.name}: {file.format}, {count} channels"
         yield from (f"#   {note}" for note in file.notes)
+        if file.labels:
+            yield f"#   columns of text: {', '.join(file.labels)}"
         for group in file.groups:
             if group.unusable:
                 yield f"#   not usable: {', '.join(group.names[:5])}: {group.unusable}"
@@ -142,12 +169,32 @@ def _rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]
         yield f"# `{group.names[group.time or 0]}` is the time of {names}"
     if time is not None:
         yield f"time: {_quoted(time.name)}" + ("  # and the others as above" if own else "")
-        if not _unit_of(time.unit, TIME):
-            yield "time_unit: s  # TODO: the file states none"
+        yield from _unit_lines(file, time)
         return
-    stated = {name.rpartition(".")[2].lower(): value for name, value in file.scalars.items()}
-    rate = next((stated[name] for name in RATE_NAMES if name in stated), None)
+    rate = _stated_rate(file)
     yield "sample_rate: TODO  # Hz" if rate is None else f"sample_rate: {rate:.10g}  # Hz, as the file says"
+
+
+def _stated_rate(file: ForeignFile) -> float | None:
+    stated = {name.rpartition(".")[2].lower(): value for name, value in file.scalars.items()}
+    return next((stated[name] for name in RATE_NAMES if name in stated), None)
+
+
+def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
+    """The unit of the times, to be completed where the file states none and their steps are not those of seconds."""
+    group = next(group for group in file.groups if any(channel is time for channel in group.channels))
+    axis = _axis(group, next(k for k, channel in enumerate(group.channels) if channel is time))
+    unit, stated = _unit_of(time.unit, TIME), _stated_rate(file)
+    rate = None if axis is None else axis.rate / (unit.factor if unit else 1.0)
+    agrees = rate is not None and stated is not None and abs(rate / stated - 1.0) < RATE_TOLERANCE
+    if unit is None and agrees:
+        yield "time_unit: s  # the head states the same rate"
+    elif unit is None and (rate is None or 1.0 < rate < FASTEST_GUESS):
+        yield "time_unit: s  # TODO: the file states none"
+    elif unit is None:
+        yield f"time_unit: {UNFINISHED}  # s, ms, us, min or h: the file states none, and there are {rate:.6g} in one"
+    if rate is not None and stated is not None and not agrees:
+        yield f"# TODO: the head states {stated:.10g} Hz, these times are of {rate:.10g} Hz"
 
 
 def _channel_lines(channels: Sequence[ForeignChannel], geometry: Geometry | None) -> Iterator[str]:

@@ -1,0 +1,140 @@
+"""Names and units of the columns of a text file, from the rows above the data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from balance_cli.importers.base import TextLayout
+from balance_cli.importers.text_numbers import is_missing, is_number
+from balance_cli.io.errors import UserError
+from balance_cli.io.text_cells import REMARKS
+from balance_cli.io.units import is_unit, split_unit
+
+UNIT_SHARE = 0.5
+"""Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""
+KEY = re.compile(r"^[A-Za-z][\w -]*:$")
+"""The first cell of a row of a head that says what the others are, as imc writes it: `Name:`, `Unit:`, `dx:`."""
+NAME_KEYS = ("name", "names", "channel name", "channel names", "channel", "kanalname", "kanal", "signal")
+UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "y-unit")
+REMARK_SIGNS = (*REMARKS, ";", "!")
+"""Signs before the names of a head of remarks."""
+
+Rows = Sequence[Sequence[str]]
+
+
+def names_and_units(header: Rows, data: Rows, layout: TextLayout) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the columns from the rows above the data, `column 1` and so on where there are none.
+
+    Raises UserError where names and columns differ in number, so that nothing says which is whose.
+    """
+    width = len(data[0])
+    rows = [_without_remark_sign(row, width) for row in header]
+    candidates = [k for k, row in enumerate(rows) if any(row) and abs(len(row) - width) <= 1]
+    keys = _keys(rows, candidates, data)
+    name_row = next((keys[key] for key in NAME_KEYS if key in keys), None)
+    if name_row is not None and layout.name_row is None:
+        return _keyed_names(rows, keys, name_row, width)
+    plain = [k for k in candidates if k not in keys.values()]
+    unit_row = layout.unit_row - 1 if layout.unit_row else None
+    if unit_row is None and layout.name_row is None and len(plain) > 1:
+        unit_row = next((k for k in reversed(plain) if _are_units(rows[k])), None)
+    rest = [k for k in plain or candidates if k != unit_row and (plain or len(rows[k]) == width)]
+    name_row = layout.name_row - 1 if layout.name_row else _best_names(rows, rest, unit_row)
+    shift = 0 if layout.name_row or name_row is None else _shift(rows[name_row], data, width)
+    names = _padded(rows, name_row, width, shift)
+    if name_row is not None and not layout.name_row:
+        names = _completed(names, [_padded(rows, k, width, shift) for k in reversed(rest) if k < name_row])
+    units = _padded(rows, unit_row, width, shift if unit_row is not None and len(rows[unit_row]) < width else 0)
+    pairs = [split_unit(name.lstrip("#").strip()) for name in names]
+    shown = tuple(name if any(names) else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
+    from_names = [unit or "" for _, unit in pairs]
+    return shown, tuple(_strip_unit(unit) or own for unit, own in zip(units, from_names, strict=True))
+
+
+def _without_remark_sign(row: Sequence[str], width: int) -> Sequence[str]:
+    """The row of a head without the sign of a remark, in a cell of its own or before the first name."""
+    if not row or not row[0].startswith(REMARK_SIGNS):
+        return row
+    first = row[0].lstrip("#%;!/").strip()
+    return [first, *row[1:]] if first or len(row) <= width else row[1:]
+
+
+def _keys(rows: Rows, candidates: Sequence[int], data: Rows) -> dict[str, int]:
+    """Rows that begin with a word on what the others are: with a colon, or above a column that has no data."""
+    is_empty = not any(row[0] for row in data if row)
+    keyed = [k for k in candidates if rows[k][0] and (KEY.match(rows[k][0]) or is_empty)]
+    if is_empty and not any(rows[k][0].rstrip(":").lower() in NAME_KEYS for k in keyed):
+        keyed = [k for k in keyed if KEY.match(rows[k][0])]
+    return {rows[k][0].rstrip(":").lower(): k for k in keyed}
+
+
+def _keyed_names(
+    rows: Rows, keys: dict[str, int], name_row: int, width: int
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of a head with a key in the first cell of each row, above a column of its own or none."""
+    unit_row = next((keys[key] for key in UNIT_KEYS if key in keys), None)
+    plain = [["", *row[1:]] if len(row) <= width else row[1:] for row in rows]
+    names, units = _padded(plain, name_row, width), _padded(plain, unit_row, width)
+    return tuple(names), tuple(_strip_unit(unit) for unit in units)
+
+
+def _best_names(rows: Rows, candidates: Sequence[int], unit_row: int | None) -> int | None:
+    """The row of names: the last one with texts in most columns, above the row of units where there is one.
+
+    Rows of remarks have few texts, those of statistics numbers, those of settings the same word in all columns.
+    """
+    texts = {k: [cell for cell in rows[k] if cell and (cell.isdigit() or not _is_any_number(cell))] for k in candidates}
+    most = max((len(cells) for cells in texts.values()), default=0)
+    various = min(2, max((len(set(cells)) for cells in texts.values()), default=0))
+    good = [k for k in candidates if 2 * len(texts[k]) >= most and len(set(texts[k])) >= various]
+    above = [k for k in good if unit_row is not None and k < unit_row]
+    return next(reversed(above or good), None)
+
+
+def _is_any_number(cell: str) -> bool:
+    return is_number(cell, ".") or is_number(cell, ",")
+
+
+def _completed(names: list[str], above: Sequence[list[str]]) -> list[str]:
+    """The names, those that lack taken from the nearest row above that has one."""
+    if not any(names):
+        return names
+    return [name or next((row[k] for row in above if row[k]), "") for k, name in enumerate(names)]
+
+
+def _shift(names: Sequence[str], data: Rows, width: int) -> int:
+    """By how many columns the names stand too far left: a first column of row numbers, or an empty one, has none."""
+    if len(names) != width - 1 or not any(row[-1] for row in data if len(row) == width):
+        return 0
+    first = [row[0] for row in data if row]
+    if not any(first) or counts_rows(first):
+        return 1
+    fault = f"has {len(names)} names above rows of {width} cells"
+    remedy = "Give each column a name, or state `name_row` under `text` in the map, counted from the left"
+    raise UserError(fault, remedy=remedy)
+
+
+def counts_rows(cells: Sequence[str]) -> bool:
+    """Whether cells are 0, 1, 2 ... or 1, 2, 3 ... ; three of them at least."""
+    begin = int(cells[0]) if cells and cells[0] in ("0", "1") else -1
+    return len(cells) > 2 and begin >= 0 and list(cells) == [str(begin + k) for k in range(len(cells))]
+
+
+def _padded(rows: Rows, row: int | None, width: int, shift: int = 0) -> list[str]:
+    if row is None or not 0 <= row < len(rows):
+        return [""] * width
+    cells = [*[""] * shift, *rows[row]][:width]
+    return cells + [""] * (width - len(cells))
+
+
+def _strip_unit(text: str) -> str:
+    return text.strip().strip("[]()").strip()
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Whether a row is one of units: more than half of its cells are, or half of them and some occur twice."""
+    cells = [_strip_unit(cell.lstrip("#")) for cell in row if cell and not is_missing(cell)]
+    units = [cell for cell in cells if is_unit(cell)]
+    least = UNIT_SHARE * len(cells)
+    return len(units) > least or (len(units) >= least and len(set(units)) < len(units))

@@ -1,0 +1,145 @@
+"""Text exports as acquisition programs write them: the right numbers, or one clear refusal."""
+
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+import yaml
+
+from balance_cli.importers import open_foreign
+from balance_cli.io.errors import UserError
+from balance_cli.steps.import_sketch import sketch_map
+
+COUNT = 60
+TIME = np.arange(COUNT) / 1000.0
+X = np.round(np.random.default_rng(5).uniform(-1, 1, (COUNT, 2)), 6)
+X[:, 1] = -np.abs(X[:, 1]) - 1.0
+LARGE = np.round(X * 4321, 3)
+BEGIN = datetime(2024, 3, 12, 12, 59, 59, 980000)
+LVM = "LabVIEW\t\nX_Columns\t{}\n***End_of_Header***\t\n\t\nChannels\t2\t\t\nX0\t0\t0\t\nDelta_X\t{}\t{}\t\n"
+LVM += "***End_of_Header***\t\t\t\nX_Value\tA\tB\tComment\n"
+CATMAN = "HBM_CATMAN_DATAFILE_40\n\nDatei: lauf 3.ASC\n\nZeit  1 - Standardmessrate\tA\tB\ns\tN\tN\n"
+PULSE = "Header Size:\t80\nVersion:\t2\nX-axis unit:\ts\nX-axis delta:\t1.000E-03\nTitle1:\tForce\nTitle2:\tInput\n"
+TOA5 = '"TOA5","CR6","1234"\n"TIMESTAMP","RECORD","A","B"\n"TS","RN","N","N"\n"","","Smp","Smp"\n'
+
+
+def lines(row, count=COUNT):
+    return "".join(f"{row(k)}\n" for k in range(count))
+
+
+def plain(sep, decimal=".", end="", begin="", values=X, form="{:.6f}"):
+    def row(k):
+        cells = [f"{TIME[k]:.6f}", *(form.format(x) for x in values[k])]
+        return begin + sep.join(cells).replace(".", decimal) + end
+
+    return lines(row)
+
+
+def grouped(value, sign, decimal):
+    return f"{value:,.3f}".replace(",", "~").replace(".", decimal).replace("~", sign)
+
+
+def with_thousands(sep, sign, decimal, quote=""):
+    cell = lambda value: quote + grouped(value, sign, decimal) + quote  # noqa: E731
+    return lines(lambda k: sep.join([f"{TIME[k]:.3f}".replace(".", decimal), *map(cell, LARGE[k])]))
+
+
+def clock(form):
+    return lines(lambda k: f"{form(BEGIN + timedelta(milliseconds=k))},{X[k, 0]:.6f},{X[k, 1]:.6f}")
+
+
+def opened(tmp_path, text, encoding="utf-8"):
+    (tmp_path / "zero-1.txt").write_bytes(text.encode(encoding))
+    return open_foreign(tmp_path / "zero-1.txt")
+
+
+def whole(file, name):
+    group = next(group for group in file.groups if name in group.names)
+    return group.read([group.names.index(name)], 0, group.samples)[:, 0]
+
+
+RIGHT = {
+    "LabVIEW, one column of times": (LVM.format("One", 0.001, 0.001) + plain("\t", end="\t"), X, "time: X_Value"),
+    "LabVIEW, none": (LVM.format("No", 0.001, 0.001) + lines(lambda k: f"\t{X[k, 0]}\t{X[k, 1]}\t"), X, "1000"),
+    "catman with a row behind the units": (CATMAN + "Datum 12.03.2024\t\t\n" + plain("\t", ","), X, "time: "),
+    "catman with keys": (
+        "Channel name:\tTime 1\tA\tB\nUnit:\ts\tN\tN\nSensor:\t\tU10M\tT10F\n" + plain("\t", begin="\t"),
+        X,
+        "time: Time 1",
+    ),
+    "DIAdem with descriptions": (
+        "Name;Zeit;A;B\nEinheit;s;N;N\nBeschreibung;;vorn;hinten\n" + plain(";", ",", begin=";"),
+        X,
+        "time: Zeit",
+    ),
+    "Campbell": (
+        TOA5 + lines(lambda k: f'"2024-03-12 12:00:{k / 10:04.1f}",{k},{X[k, 0]},{X[k, 1]}', 50),
+        X[:50],
+        "time: TIMESTAMP",
+    ),
+    "numpy.savetxt": ("# run 4\n# t A B\n" + plain(" "), X, "time: t"),
+    "write.table of R": ('"t" "A" "B"\n' + lines(lambda k: f'"{k + 1}" {TIME[k]} {X[k, 0]} {X[k, 1]}'), X, "time: t"),
+    "an empty first column without a name": ("t,A,B\n" + plain(",", begin=","), X, "time: t"),
+    "names in two rows": ("Time,Balance,Balance\n,A,B\ns,N,N\n" + plain(","), X, "time: Time"),
+    "remarks with !": ("! stand 4\n! t [s], A [N], B [N]\n" + plain(", "), X, "time: t"),
+    "exponents of Fortran": ("t A B\n" + plain(" ", form="{:.6E}").replace("E", "D"), X, "time: t"),
+    "Excel, German thousands": ("Zeit;A;B\ns;N;N\n" + with_thousands(";", ".", ","), LARGE, "time: Zeit"),
+    "Excel, English thousands": ("Time,A,B\ns,N,N\n" + with_thousands(",", ",", ".", '"'), LARGE, "time: Time"),
+    "Swiss thousands": ("Zeit;A;B\ns;N;N\n" + with_thousands(";", "'", "."), LARGE, "time: Zeit"),
+    "French thousands": ("Temps;A;B\ns;N;N\n" + with_thousands(";", "\u202f", ","), LARGE, "time: Temps"),
+    "times of day without fractions in whole seconds": ("Time,A,B\n" + clock(datetime.isoformat), X, "time: Time"),
+    "dates of MATLAB": ("Time,A,B\n" + clock(lambda t: f"12-Mar-2024 {t:%H:%M:%S.%f}"), X, "time: Time"),
+    "German dates of two digits": ("Time,A,B\n" + clock(lambda t: f"{t:%d.%m.%y %H:%M:%S.%f}"), X, "time: Time"),
+    "milliseconds behind a colon": ("Time,A,B\n" + clock(lambda t: f"{t:%H:%M:%S:%f}"[:-3]), X, "time: Time"),
+}
+
+
+@pytest.mark.parametrize(("text", "values", "said"), RIGHT.values(), ids=RIGHT)
+def test_layouts_of_other_programs(tmp_path, text, values, said):
+    file = opened(tmp_path, text)
+    read = np.column_stack([whole(file, "A"), whole(file, "B")])
+    assert np.allclose(read, values, rtol=1e-12, atol=1e-12)
+    sketch = sketch_map([file], None)
+    assert said in sketch
+    assert {"A", "B"} <= set(yaml.safe_load(sketch)["channels"])
+
+
+REFUSED = {
+    "different steps": (LVM.format("No", 0.001, 0.002) + lines(lambda k: f"\t{k}.5\t{k}.5\t"), "0.001 and 0.002"),
+    "the comma as separator and decimal sign": ("t,A,B\n" + plain(",", ","), "separator and decimal sign"),
+    "thousands or fractions": ("t;A\n" + lines(lambda k: f"{k};{77 if k % 2 else f'{k + 1}.234'}"), "1.234 or 1234"),
+    "a name too few": ("t,A\n" + plain(","), "2 names above rows of 3 cells"),
+    "a row for each channel": ("\n".join(",".join(map(str, row)) for row in np.tile(X.T, 3)), "a row for each channel"),
+    "an empty row": ("t,A,B\n" + plain(",") + "\n" + plain(","), "an empty row"),
+    "a lost cell between spaces": ("t A B\n" + 200 * plain(" ") + "1 2\n" + plain(" "), "2 cells"),
+    "a lost cell": ("t,A,B\n" + 200 * plain(",") + "1,2\n" + plain(","), "2 cells"),
+}
+
+
+@pytest.mark.parametrize(("text", "fault"), REFUSED.values(), ids=REFUSED)
+def test_layouts_that_could_give_wrong_numbers_are_refused(tmp_path, text, fault):
+    with pytest.raises(UserError, match=fault):
+        file = opened(tmp_path, text)
+        [group.read(range(len(group.names)), 0, group.samples) for group in file.groups]
+
+
+def test_row_numbers_are_no_time_and_unclear_units_are_to_be_completed(tmp_path):
+    rows = lines(lambda k: f"{k + 1}\t{TIME[k]:.6E}\t{X[k, 0]:.6E}")
+    assert "time: column 2\ntime_unit: s  # the head" in sketch_map([opened(tmp_path, PULSE + rows)], None)
+    text = sketch_map([opened(tmp_path, "Time,A\n" + lines(lambda k: f"{k},{X[k, 0]}"))], None)
+    assert "time_unit: TODO" in text
+    text = sketch_map([opened(tmp_path, "Rate: fs = 500 Hz\nTime [s],A\n" + lines(lambda k: f"{TIME[k]},0.5"))], None)
+    assert "the head states 500 Hz, these times are of 1000 Hz" in text
+
+
+def test_numbers_for_no_value_are_missing_where_they_are_far_from_all_others(tmp_path):
+    text = "t,A,B\n" + lines(lambda k: f"{TIME[k]},{-9999 if k == 7 else X[k, 0]},{9.9e37 if k == 9 else k * 500}")
+    file = opened(tmp_path, text)
+    assert np.flatnonzero(np.isnan(whole(file, "A"))).tolist() == [7]
+    assert np.flatnonzero(np.isnan(whole(file, "B"))).tolist() == [9]
+    assert not np.isnan(whole(opened(tmp_path, "A\n9998\n9999\n10000\n"), "A")).any()
+
+
+def test_columns_of_text_are_named_and_an_empty_comment_is_none(tmp_path):
+    file = opened(tmp_path, "t,A,state,Comment\n" + lines(lambda k: f"{TIME[k]},{X[k, 0]},OVR,"))
+    assert file.groups[0].names == ("t", "A") and "columns of text: state, Comment" in sketch_map([file], None)
