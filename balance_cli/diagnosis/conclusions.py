@@ -11,6 +11,7 @@ from balance_cli.diagnosis.result import (
     EXPLAINED,
     NOTHING_MISSING,
     PARTLY_EXPLAINED,
+    RECORD_CHANGE_TEST,
     UNEXPLAINED,
     Diagnosis,
     Evidence,
@@ -53,6 +54,24 @@ def decide_verdict(
         return NOTHING_MISSING
     empirical = any(effect.evidence.empirical for effect in effects)
     return EXPLAINED if good and not empirical else PARTLY_EXPLAINED
+
+
+def judge_drifts(diagnosis: Diagnosis) -> Diagnosis:
+    """Return the diagnosis with what drifts within the records: a constant effect of such a channel is an average.
+
+    Records of another length have another average, so that the effect does not explain them.
+    """
+    level = (diagnosis.settings or DEFAULT_SETTINGS).data_tests.significance_level
+    tests = [test for test in diagnosis.data_tests if test.name == RECORD_CHANGE_TEST]
+    drifts = [test for test in tests if test.p_value * len(tests) <= level]
+    channels = {name for test in drifts for name in test.place.split(", ")}
+    averages = [effect.label for effect in diagnosis.effects if channels & set(effect.where)]
+    notes = [f"{test.place}: {test.finding}" for test in drifts]
+    if averages:
+        states = "is the average" if len(averages) == 1 else "are averages"
+        notes.append(f"{', '.join(averages)} {states} of what drifts within the records, not constant")
+    verdict = PARTLY_EXPLAINED if averages and diagnosis.verdict == EXPLAINED else diagnosis.verdict
+    return replace(diagnosis, notes=(*diagnosis.notes, *notes), verdict=verdict)
 
 
 def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_aside: Sequence[str] = ()) -> Diagnosis:

@@ -128,6 +128,7 @@ def _lines_without(run: RunSpectrum, name: str, geometry: Geometry) -> RunSpectr
         window=window,
         waveform=waveform,
         noise_parts=_parts_without(run.noise_parts, kept),
+        periods=None if run.periods is None else run.periods[:, :, kept],
     )
 
 

@@ -150,6 +150,8 @@ class HoldOut:
 
 
 CHANNEL, RUN = "channel", "run"
+RECORD_CHANGE_TEST = "first against last periods"
+"""Name of the test for a gain or delay that drifts within records: no constant effect describes that."""
 RUN_CHANGE_TEST = "run against run"
 """Name of the test for a gain or delay that differs between runs: no constant effect describes that."""
 

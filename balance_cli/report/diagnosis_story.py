@@ -28,6 +28,7 @@ TEST_SIGNIFICANCE = 0.01
 """p-value below which a test of the data found a difference, the level of the verdicts."""
 RULED_OUT_BY = {
     "channels of a cell": "no gain, delay, filter or crosstalk of these channels",
+    "first against last periods": "no gain or delay that drifts within the records",
     "static against low frequency": "static and dynamic responses agree where frequency goes to zero",
     "low against high level": "no effect that grows with the load: friction, play, cubic or quadratic stiffness",
     "rest against spin": "no effect of the turning rotor",

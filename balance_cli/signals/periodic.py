@@ -119,6 +119,7 @@ def periodic_record(
         rotor_speed=run.rotor_speed,
         level=run.level,
         window=_analysis_window(run, len(spectra), samples, start.first[selected], noise[0][selected], noise[1]),
+        periods=spectra[:, selected, : len(channel_names)],
     )
     lines = _drop_unexcited_components(lines, excited[selected], run.excited)
     steady = bool(np.all(start.steady[selected]))

@@ -57,7 +57,8 @@ class RunSpectrum:
     an offset of one volt in every channel, or of one unit in every applied load, adds to the lines.
     `window` is the part of a periodic record from which the lines were taken; None where they contain no transient.
     `waveform` holds the channels in the time domain; None where it was not requested. `noise_parts` are the components
-    of the noise of the channels, where these are not known equally well.
+    of the noise of the channels, where these are not known equally well. `periods` (P, k, c) are the channels in each
+    whole period of a periodic record; None where it does not repeat.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -77,6 +78,7 @@ class RunSpectrum:
     constant_loads: Array | None = None
     waveform: Waveform | None = None
     noise_parts: tuple[NoisePart, ...] = ()
+    periods: ComplexArray | None = None
 
     def select(self, keep: NDArray[np.bool_]) -> RunSpectrum:
         """Return the spectrum at the selected lines (k,)."""
@@ -91,6 +93,7 @@ class RunSpectrum:
             constant_loads=None if self.constant_loads is None else self.constant_loads[keep],
             waveform=None if self.waveform is None else self.waveform.select(keep),
             noise_parts=tuple(part.select(keep) for part in self.noise_parts),
+            periods=None if self.periods is None else self.periods[:, keep],
         )
 
 

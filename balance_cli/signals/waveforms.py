@@ -218,6 +218,7 @@ def _append_mean(lines: RunSpectrum, mean: Array, factor: float, start: float, g
         window=window,
         constant_volts=volts,
         constant_loads=units,
+        periods=None if lines.periods is None else np.pad(lines.periods, ((0, 0), (0, 1), (0, 0))),
     )
 
 

@@ -9,7 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.conclusions import decide_verdict, describe_added_effects, diagnosis_notes
+from balance_cli.diagnosis.conclusions import (
+    decide_verdict,
+    describe_added_effects,
+    diagnosis_notes,
+    judge_drifts,
+)
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
 from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, is_good_fit, model_quality, update_model
@@ -67,6 +72,7 @@ def diagnose(
     )
     left_out = None if exclusion is None else exclusion.left_out
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
+    diagnosis = judge_drifts(diagnosis)
     if announce.is_over:
         note = f"the time limit of {settings.time_limit:g} s was reached: this is the best model up to then"
         diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note))

@@ -226,17 +226,28 @@ def compared_pairs(
 ) -> tuple[ComparedPair, ...]:
     """Return the pairs of channels that several runs share."""
     paths = {path.channel: path for path in declared_paths(geometry)}
-    pairs = []
-    for first, second in channel_pairs(geometry):
-        shared = [run for run in runs if {first, second} <= set(run.channel_names)]
-        pair = _pair_data(shared, paths[first], paths[second], geometry.tolerances.sensitivity)
-        if pair is not None and len(shared) > 1:
-            equal = _fit_equal_channels(pair.lines, settings.channel_pairs)
-            alike = _residual_p_value(pair, equal) > settings.significance_level
-            common = equal if alike else _fits_with_one_more_kind(pair, equal, settings.channel_pairs)[0]
-            names, components = tuple(run.run for run in shared), tuple(run.components for run in shared)
-            pairs.append(ComparedPair(first, second, names, components, remove_ratio(pair.lines, common), pair.dof))
-    return tuple(pairs)
+    tolerance = geometry.tolerances.sensitivity
+    pairs = (
+        compare_pair(runs, (paths[first], paths[second]), tolerance, settings)
+        for first, second in channel_pairs(geometry)
+    )
+    return tuple(pair for pair in pairs if pair is not None)
+
+
+def compare_pair(
+    runs: Sequence[RunSpectrum], paths: tuple[ChannelPath, ChannelPath], tolerance: float, settings: DataTestSettings
+) -> ComparedPair | None:
+    """Return two channels of a cell in the runs that have both; None unless several do."""
+    names = (paths[0].channel, paths[1].channel)
+    shared = [run for run in runs if set(names) <= set(run.channel_names)]
+    pair = _pair_data(shared, *paths, tolerance)
+    if pair is None or len(shared) < 2:
+        return None
+    equal = _fit_equal_channels(pair.lines, settings.channel_pairs)
+    alike = _residual_p_value(pair, equal) > settings.significance_level
+    common = equal if alike else _fits_with_one_more_kind(pair, equal, settings.channel_pairs)[0]
+    labels, components = tuple(run.run for run in shared), tuple(run.components for run in shared)
+    return ComparedPair(*names, labels, components, remove_ratio(pair.lines, common), pair.dof)
 
 
 def _pair_differences(pair: _Pair, start: RatioFit, settings: SearchSettings) -> list[ChannelDifference]:

@@ -1,10 +1,11 @@
-"""All tests that need no model of the plate: channels, runs, static runs, levels, rotor speed and mains."""
+"""All tests that need no model of the plate: channels, runs, halves of runs, statics, levels, rotor speed and mains."""
 
 from __future__ import annotations
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.data_tests.channel_pairs import channel_tests
 from balance_cli.diagnosis.data_tests.mains_detection import mains_tests
+from balance_cli.diagnosis.data_tests.record_changes import record_tests
 from balance_cli.diagnosis.data_tests.run_changes import run_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
@@ -26,6 +27,7 @@ def model_free_tests(
         *channel_tests(runs, geometry, settings),
         *static_tests(runs, spectra.statics, geometry, lowest_mode, settings.data_tests),
         *run_tests(runs, geometry, settings.data_tests),
+        *record_tests(runs, geometry, settings.data_tests),
         *level_tests(runs, geometry, settings.data_tests),
         *spin_tests(runs, geometry, settings.data_tests),
         *mains_tests(runs, settings.data_tests),

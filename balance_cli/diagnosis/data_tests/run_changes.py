@@ -57,7 +57,7 @@ def _run_values(pair: ComparedPair, settings: DataTestSettings) -> tuple[list[st
     names, values, sigma, dof = [], [], [], []
     for number, name in enumerate(pair.runs):
         lines = pair.lines.select_run(number)
-        if _signal_to_noise(lines) < settings.run_changes.min_signal_to_noise:
+        if signal_to_noise(lines) < settings.run_changes.min_signal_to_noise:
             continue
         fit = fit_ratio(lines, TWO_SIDED_KINDS, np.zeros(len(TWO_SIDED_KINDS)), settings.channel_pairs)
         count = 2.0 * len(lines.s) - len(TWO_SIDED_KINDS)
@@ -70,8 +70,8 @@ def _run_values(pair: ComparedPair, settings: DataTestSettings) -> tuple[list[st
     return names, np.array(values), np.array(sigma), dof
 
 
-def _signal_to_noise(lines: PairSpectrum) -> float:
-    """Power of the weaker channel over that of its noise, in all lines together."""
+def signal_to_noise(lines: PairSpectrum) -> float:
+    """Return the power of the weaker channel over that of its noise, in all lines together."""
     noise = np.sum(np.diagonal(lines.covariance, axis1=1, axis2=2).real, axis=0)
     return float(np.min(np.sum(np.abs(lines.forces) ** 2, axis=0) / np.maximum(noise, np.finfo(float).tiny)))
 

@@ -1,0 +1,106 @@
+"""A gain or delay that drifts within the records shows in two channels of a cell, first half against last."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.diagnosis.conclusions import judge_drifts
+from balance_cli.diagnosis.data_tests.record_changes import record_tests
+from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, RECORD_CHANGE_TEST, ModelFreeTest
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
+from tests.support.diagnosis_content import delay_effect, diagnosis
+from tests.support.rigs import rotor_balance
+
+SETTINGS = DEFAULT_SETTINGS.data_tests
+
+
+PERIODS, STEADY = 14, 6
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """The last periods of two sweeps, in which the start transients have gone."""
+    sweeps = tuple(
+        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=PERIODS, band=(4.0, 150.0))
+        for name, level in (("Fz", 80.0), ("Mx", 10.0))
+    )
+    return [
+        replace(run, samples=n, source=MemorySource(run.read().channels[-n:], run.read().loads[-n:]))
+        for run in simulate_campaign(true_rig(rotor_balance()), CampaignPlan(runs=sweeps), seed=4)[0]
+        for n in [STEADY * 800]
+    ]
+
+
+def drifting(run, name, change):
+    """The run with one channel changed: `change(volts, time, share of the record)`."""
+    block = run.read()
+    channels, n = block.channels.copy(), run.samples
+    i = run.channel_names.index(name)
+    channels[:, i] = change(channels[:, i], np.arange(n) / run.sample_rate, np.arange(n) / n)
+    return replace(run, source=MemorySource(channels, block.loads))
+
+
+def rows(runs, geometry=None):
+    geometry = rotor_balance() if geometry is None else geometry
+    spectra = measured_spectra(runs, geometry, means=True)
+    return {row.place: row for row in record_tests(spectra.lines, geometry, SETTINGS)}
+
+
+def test_steady_records_are_equal(runs):
+    found = rows(runs)
+    assert {row.name for row in found.values()} == {RECORD_CHANGE_TEST}
+    assert {row.finding for row in found.values()} == {"equal"}
+    assert min(row.p_value for row in found.values()) * len(found) > 1e-3
+
+
+@pytest.mark.parametrize("size", [0.01, -0.004])
+def test_a_gain_that_drifts_within_the_record_is_named(runs, size):
+    """The second and third of six periods against the last two: half of the drift."""
+    found = rows([drifting(run, "z1.piezo", lambda x, time, share: x * (1.0 + size * share)) for run in runs])
+    row = found.pop("z1.strain, z1.piezo")
+    assert row.p_value < 1e-6
+    reads = float(row.finding.split("z1.piezo reads ")[1].split()[0])
+    assert reads == pytest.approx(1.0 + size / 2.0, abs=1e-4)
+    assert {other.finding for other in found.values()} == {"equal"}
+
+
+def test_a_clock_that_runs_slow_is_a_delay_that_grows(runs):
+    """A box whose clock is 20 parts in a million slow is 0.06 ms later three seconds on."""
+
+    def late(x, time, share):
+        spectrum = np.fft.rfft(np.concatenate([x, x[::-1]]))
+        fine = np.fft.irfft(spectrum, 16 * len(x)) * 8.0
+        return np.interp(time * (1.0 - 2e-5), np.arange(len(fine)) * time[1] / 8.0, fine)
+
+    row = rows([drifting(run, "z1.piezo", late) for run in runs])["z1.strain, z1.piezo"]
+    late_by = float(row.finding.split("z1.piezo is late by ")[1].split()[0])
+    assert late_by == pytest.approx(0.06, abs=0.002)
+    assert row.p_value < 1e-6
+
+
+def test_short_records_and_cells_of_one_channel_have_no_row(runs):
+    short = [
+        replace(run, samples=2400, source=MemorySource(run.read().channels[-2400:], run.read().loads[-2400:]))
+        for run in runs
+    ]
+    assert not rows(short)
+    strain_only = rotor_balance().model_copy(
+        update={"channels": tuple(c for c in rotor_balance().channels if not c.name.endswith("piezo"))}
+    )
+    assert not rows(runs, strain_only)
+
+
+def test_an_effect_that_is_the_average_of_a_drift_is_not_explained():
+    drift = ModelFreeTest(RECORD_CHANGE_TEST, "z1.strain, z1.piezo", 400.0, 2.0, 1e-9, "drifts within the records")
+    equal = replace(drift, place="z2.strain, z2.piezo", p_value=0.3, finding="equal")
+    explained = replace(diagnosis(EXPLAINED), effects=(delay_effect(),), data_tests=(drift, equal))
+    judged = judge_drifts(explained)
+    assert judged.verdict == PARTLY_EXPLAINED
+    assert judged.notes[-1] == "time-delay@z1.piezo is the average of what drifts within the records, not constant"
+    elsewhere = judge_drifts(replace(explained, effects=(replace(delay_effect(), where=("z2.piezo",)),)))
+    assert elsewhere.verdict == EXPLAINED
+    assert elsewhere.notes[-1] == "z1.strain, z1.piezo: drifts within the records"
