@@ -36,6 +36,17 @@ class Scale:
         position = (math.log(max(value, self.low)) if self.log else value) - low
         return self.start + (self.stop - self.start) * min(max(position / (high - low), 0.0), 1.0)
 
+    def places(self, values: Array) -> Array:
+        """Return the places (n,) of values (n,), NaN where one has none.
+
+        Values outside lie at most a tenth of the axis beyond its ends: to be clipped there.
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            scaled = np.log(values) if self.log else np.asarray(values, float)
+        low, high = (math.log(self.low), math.log(self.high)) if self.log else (self.low, self.high)
+        share = np.where(scaled == -np.inf, -np.inf, (scaled - low) / (high - low))
+        return np.asarray(self.start + (self.stop - self.start) * np.clip(share, -0.1, 1.1))
+
 
 def make_scale(
     values: Sequence[Array],

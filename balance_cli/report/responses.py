@@ -24,7 +24,6 @@ from balance_cli.report.blocks import (
     group_heading_row,
 )
 from balance_cli.report.bode_chart import bode_chart
-from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
     ERROR_BAND,
     Curve,
@@ -41,7 +40,7 @@ from balance_cli.report.frequencies import reference_model
 from balance_cli.report.number_format import format_percent, join_names
 from balance_cli.report.nyquist import Evaluation, nyquist_picture
 from balance_cli.report.plots import Marker, rotor_markers
-from balance_cli.report.response_figures import Panel, component_figure, detail_figure
+from balance_cli.report.response_figures import Panel, component_svg, detail_svg
 from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Source, Sources
 from balance_cli.signals.response.transfer import Transfer, response_components, response_to_component
@@ -143,7 +142,7 @@ def _component_picture(comparison: Comparison) -> Picture:
     caption = (
         f"{comparison.component} ({comparison.measured.run}): amplitude, phase and relative residual of every cell."
     )
-    return Picture(name, caption, svg(name, caption, lambda: component_figure(panels)))
+    return Picture(name, caption, component_svg(panels, caption))
 
 
 def _bode_blocks(sources: Sources, compared: Sequence[Comparison]) -> Iterator[PageBlock]:
@@ -157,7 +156,7 @@ def _bode_blocks(sources: Sources, compared: Sequence[Comparison]) -> Iterator[P
     if pairs:
         shown_panels = tuple(panels[pair] for pair in pairs)
         caption = "Fit of " + join_names([f"{sensor}/{component}" for sensor, component in pairs]) + "."
-        markup = svg("fit", caption, lambda: detail_figure(shown_panels))
+        markup = detail_svg(shown_panels, caption)
         ordered = [*shown_panels, *(panel for pair, panel in panels.items() if pair not in pairs)]
         by_role = [source.label for role in CHART_ROLES for source in sources.models if source.role is role]
         yield bode_chart(ordered, by_role, rotor_lines(compared[0].geometry, *PLOT_BAND), markup)
