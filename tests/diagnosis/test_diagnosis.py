@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED
 from balance_cli.diagnosis.search.bounded_gain import best_gain
@@ -57,11 +58,29 @@ PLAN = CampaignPlan(
 BENDS = RectifyingChannel(where=("z1.piezo",), limit=100.0)
 
 
-def simulated_spectra(*effects, seed=3):
+TOGETHER = CampaignPlan(
+    runs=(
+        *static_plans(),
+        *(
+            SweepPlan(
+                run=f"sweep-{names[0][0]}",
+                excited=names,
+                level=tuple(HIGH_SWEEP_LEVELS[name] for name in names),
+                period=1.0,
+                periods=8,
+            )
+            for names in (COMPONENTS[:3], COMPONENTS[3:])
+        ),
+    )
+)
+"""Forces together in one sweep and moments in another, each on lines of its own: a third of the lines to fit."""
+
+
+def simulated_spectra(*effects, seed=3, plan=PLAN):
     rig = true_rig(RIG)
     for effect in effects:
         rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.with_extensions(effect)
-    runs, _ = simulate_campaign(rig, PLAN, seed=seed)
+    runs, _ = simulate_campaign(rig, plan, seed=seed)
     return measured_spectra(runs, RIG, means=True)
 
 
@@ -233,7 +252,7 @@ def test_two_effects_at_once_are_found_and_the_model_is_closed():
             parameters={"x": 0.1, "y": 0.2, "z": 0.15, "stiffness_x": 1e5, "stiffness_y": 1e5, "stiffness_z": 2e5},
         ),
     )
-    spectra = simulated_spectra(*hidden)
+    spectra = simulated_spectra(*hidden, plan=TOGETHER)
     before = identify(spectra, RIG)
     shares = []
     diagnosis, updated = diagnose(before, spectra, progress=lambda what, share: shares.append(share))
@@ -251,7 +270,7 @@ def test_two_effects_at_once_are_found_and_the_model_is_closed():
 
 def test_a_misaligned_exciter_is_found_though_weights_hang_straight():
     spectra = simulated_spectra(
-        DeclaredEffect(name="exciter-misalignment", where=("Fz", "Fx"), parameters={"fraction": 0.05})
+        DeclaredEffect(name="exciter-misalignment", where=("Fz", "Fx"), parameters={"fraction": 0.05}), plan=TOGETHER
     )
     found, _ = diagnose(identify(spectra, RIG), spectra)
     assert found.verdict == EXPLAINED
@@ -262,7 +281,7 @@ def test_a_misaligned_exciter_is_found_though_weights_hang_straight():
 
 def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest():
     leak = DeclaredEffect(name="high-pass", where=("z1.strain",), parameters={"cutoff": 0.04})
-    spectra = simulated_spectra(leak)
+    spectra = simulated_spectra(leak, plan=TOGETHER)
     found, updated = diagnose(identify(spectra, RIG), spectra)
     assert found.verdict == EXPLAINED
     assert [effect.label for effect in found.effects] == ["high-pass@z1.strain"]
@@ -323,7 +342,7 @@ STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={
 @pytest.fixture(scope="module")
 def stiff():
     """Lines and fit of a campaign with a large mechanical effect."""
-    batches = lines_of(simulated_spectra(STIFF))
+    batches = lines_of(simulated_spectra(STIFF, plan=TOGETHER))
     known = candidate_at("transverse-stiffness", ("all",), RIG)
     start = extend_model(balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(known, 0)]))
     return batches, fit_all_lines(*start, batches, SETTINGS.fit)
@@ -449,7 +468,7 @@ def test_a_channel_that_saturates_is_named_with_its_largest_reading():
 
 
 def test_a_channel_that_no_effect_describes_is_left_out():
-    spectra = simulated_spectra(BENDS)
+    spectra = simulated_spectra(BENDS, plan=TOGETHER)
     before = identify(spectra, RIG)
     excluded = tuple(item.name for item in EFFECTS if item.name not in ("channel-gain", "time-delay"))
     found, updated = diagnose(before, spectra, settings=replace(SETTINGS, excluded=excluded))
@@ -466,7 +485,7 @@ TUNED = TunedMass(mass=0.7, frequency=51.3, damping_ratio=0.013, position=(-0.2,
 
 @pytest.fixture(scope="module")
 def resonating():
-    return simulated_spectra(TUNED)
+    return simulated_spectra(TUNED, plan=TOGETHER)
 
 
 def test_what_resonates_without_a_cause_is_described_and_named_as_empirical(resonating):
@@ -505,7 +524,7 @@ def test_a_resonance_taken_for_a_support_replaces_it(resonating):
 
 def test_an_effect_that_is_there_stays_beside_a_resonance():
     there = "transverse-stiffness@all"
-    assert with_and_without(there, simulated_spectra(TUNED, STIFF)) == ({"extra-mode@x", there}, [])
+    assert with_and_without(there, simulated_spectra(TUNED, STIFF, plan=TOGETHER)) == ({"extra-mode@x", there}, [])
 
 
 def test_what_it_cannot_work_with(healthy):
