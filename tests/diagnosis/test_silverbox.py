@@ -20,7 +20,7 @@ from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.io.artefacts import load_artefact
+from balance_cli.io.artefacts import load_artefact, make_provenance, save_artefact
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.steps.diagnose import diagnose
@@ -87,16 +87,21 @@ def test_load_offset_and_a_cubic_spring_beside_the_cell_explain_it(updated, erro
     assert found["load-offset"].value == pytest.approx(0.0053, abs=0.0005)
 
 
-def test_the_side_is_beside(silverbox, spectra, updated):
-    inside = fit(silverbox, spectra, "load-offset@Fz", "cubic-stiffness@z,inside")
-    assert inside.quality.chi2 > 10 * updated.quality.chi2
+@pytest.fixture(scope="module")
+def closed(silverbox, third):
+    """The fit of the effects that close the model to the first third."""
+    return fit(silverbox, third, *CLOSING)
 
 
-def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, third):
+def test_the_side_is_beside(silverbox, third, closed):
+    inside = fit(silverbox, third, "load-offset@Fz", "cubic-stiffness@z,inside")
+    assert inside.quality.chi2 > 10 * closed.quality.chi2
+
+
+def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, third, closed):
     """Beside the cell it is the same as an offset of the channel, a shift of the origin of the elongation."""
-    closed, offset, quadratic = (
-        fit(silverbox, third, *CLOSING, *further)
-        for further in ((), ("channel-offset@z",), ("quadratic-stiffness@z,beside",))
+    offset, quadratic = (
+        fit(silverbox, third, *CLOSING, further) for further in ("channel-offset@z", "quadratic-stiffness@z,beside")
     )
     assert 0.0 < closed.quality.chi2 - quadratic.quality.chi2 < 10.0
     assert quadratic.quality.chi2 == pytest.approx(offset.quality.chi2, abs=0.5)
@@ -122,8 +127,8 @@ def shortened(run):
 
 
 @pytest.fixture(scope="module")
-def commands(silverbox, tmp_path_factory):
-    """Result and JSON output of `diagnose`, the linear and the updated model, by the commands of the manual.
+def commands(silverbox, third, tmp_path_factory):
+    """Result and JSON output of `diagnose` by the command of the manual, the linear and the updated model.
 
     They use the first third of the training part and the first half of the arrow head.
     """
@@ -132,7 +137,7 @@ def commands(silverbox, tmp_path_factory):
     write_run(folder / "third.h5", shortened(open_run(folder / "train.h5")))
     write_run(folder / "half.h5", shortened(open_run(folder / "arrow.h5")))
     linear, updated, output = folder / "linear.h5", folder / "updated.h5", folder / "output.json"
-    call("identify", "-g", folder / "geometry.yaml", folder / "third.h5", "-o", linear)
+    save_artefact(linear, "balance-model/1", fit(silverbox, third), make_provenance("identify", {}, ()))
     held = ("--hold-out", folder / "test.h5", "--hold-out", folder / "half.h5")
     out = ("-o", folder / "diagnosis.h5", "--model-out", updated, "--json", output)
     result = call("diagnose", linear, folder / "third.h5", *held, *out)
