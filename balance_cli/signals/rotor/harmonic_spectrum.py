@@ -23,8 +23,13 @@ from balance_cli.signals.rotor.line_sums import unit_powers
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-LEAST_LINE_WEIGHT = 1e-4
-"""Weight of a line over the largest, below which it is dropped; the weights fall off fast on both sides."""
+LEAST_LINE_WEIGHT = 1e-7
+"""Weight of a line over the largest, below which it is dropped.
+
+The lines of a short record reach far into the slopes of a light mode. There a share of 1e-4 changed a load in 50
+revolutions, 2 % beside a mode with a damping ratio of 0.008, by 1e-4, and this share by 1e-7; there are four times as
+many lines.
+"""
 SAMPLES_PER_HZ_OF_SPEED = 4.0
 """Sample rate over the rotor speed: the harmonic is shifted to zero frequency, and its band is far narrower."""
 
