@@ -1,11 +1,9 @@
-"""MDF files of ASAM, version 4 (and 3), read channel by channel by asammdf."""
+"""MDF files of ASAM, version 4 (and 3), read in blocks by asammdf."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +65,7 @@ def _list_groups(path: Path) -> tuple[list[_Listed], str | None]:
     """The channel groups with samples, and the time of recording; in a child, since damaged files end asammdf."""
     from asammdf import MDF
 
-    with errors_as_damage(), MDF(path) as file:
+    with errors_as_damage(), path.open("rb") as stream, MDF(stream) as file:
         begin = file.header.start_time
         listed = [_listed(path, file, index) for index in range(len(file.groups))]
     return [item for item in listed if item is not None], begin.isoformat(timespec="seconds") if begin else None
@@ -83,11 +81,8 @@ def _listed(path: Path, file: Any, index: int) -> _Listed | None:
         return None
     unusable, rate, start = impossible_size(path, samples, len(names)), None, 0.0
     if master is not None and not unusable:
-        stamps = np.asarray(file.get_master(index), float)
-        if len(stamps) != samples:
-            raise damaged(f"{len(stamps)} times for {samples} samples")
         try:
-            axis = read_time_axis(lambda _, first, last: stamps[first:last, None], samples)
+            axis = read_time_axis(lambda _, first, last: _times(file, index, first, last), samples)
             rate, start = axis.rate, axis.start
         except UserError as error:
             unusable = f"sampled at uneven times ({error.fault})"
@@ -95,11 +90,20 @@ def _listed(path: Path, file: Any, index: int) -> _Listed | None:
     return _Listed(index, channels, tuple(k for k, _ in names), samples, rate, start, unusable)
 
 
-def _group(path: Path, listed: _Listed) -> ChannelGroup:
-    load = cache(lambda position: _map_channel(path, listed.index, position))
+def _times(file: Any, index: int, first: int, last: int) -> Array:
+    """Records first to last of the master channel of a group. Raises ValueError where there are fewer."""
+    stamps = np.asarray(file.get_master(index, record_offset=first, record_count=last - first), np.float64)
+    if len(stamps) != last - first:
+        raise ValueError(f"{len(stamps)} times from record {first} on, where {last - first} are declared")
+    return stamps[:, None]
 
+
+def _group(path: Path, listed: _Listed) -> ChannelGroup:
     def read(columns: Sequence[int], first: int, last: int) -> Array:
-        return np.column_stack([np.asarray(load(listed.positions[k])[first:last], np.float64) for k in columns])
+        positions = [listed.positions[k] for k in columns]
+        distinct = list(dict.fromkeys(positions))
+        values = _load_rows(path, listed.index, distinct, first, last)
+        return values if distinct == positions else values[:, [distinct.index(position) for position in positions]]
 
     return ChannelGroup(listed.channels, listed.samples, read, listed.rate, listed.start, listed.unusable)
 
@@ -109,21 +113,23 @@ def _unit(channel: Any) -> str:
     return str(getattr(channel, "unit", "") or getattr(conversion, "unit", "") or "")
 
 
-def _map_channel(path: Path, index: int, position: int) -> Any:
-    """A whole channel, mapped from a temporary file: asammdf reads part of a channel no faster than all of it."""
-    values = _load_channel(path, index, position)
-    with tempfile.TemporaryFile() as scratch:
-        mapped = np.memmap(scratch, values.dtype, "w+", shape=values.shape)
-        mapped[:] = values
-    return mapped
-
-
 @read_in_child
-def _load_channel(path: Path, index: int, position: int) -> Any:
+def _load_rows(path: Path, index: int, positions: Sequence[int], first: int, last: int) -> Array:
+    """Records first to last of some channels of a group, which asammdf selects together without reading the others.
+
+    From an open stream it reads the blocks of these records; given a path it reads all blocks of a long record.
+    """
     from asammdf import MDF
 
-    with errors_as_damage(path), MDF(path) as file:
-        values = np.asarray(file.get(group=index, index=position, samples_only=True)[0])
-    if values.dtype.kind not in "iufb" or values.ndim != 1 or not len(values):
-        raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
-    return values
+    with errors_as_damage(path), path.open("rb") as stream, MDF(stream) as file:
+        wanted = [(None, index, position) for position in positions]
+        signals = file.select(wanted, record_offset=first, record_count=last - first, copy_master=False)
+        columns = [np.asarray(signal.samples) for signal in signals]
+    table = np.empty((last - first, len(columns)), order="F")  # column by column, as they come
+    for values, column in zip(columns, table.T, strict=True):
+        if values.dtype.kind not in "iufb" or values.ndim != 1:
+            raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
+        if len(values) != last - first:
+            raise damaged(f"{len(values)} records from {first} on, where {last - first} are declared")
+        column[:] = values
+    return table

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,8 @@ from balance_cli.importers.text_rows import INDEXED_ROWS, Rows
 from balance_cli.io.errors import UserError
 
 NEWLINE = b"\n"
-EMPTY_LINE = re.compile(rb"(?:^|\n)[ \t]*\r?\n")
+LINE_ENDS = (b"\n", b"\r\n")
+EMPTY_LINES = tuple(NEWLINE + end for end in LINE_ENDS)
 
 
 @dataclass(frozen=True)
@@ -106,9 +106,9 @@ class TextTable:
         leave shorter rows, down to the last one.
         """
         separator, width = self.columns.separator, len(self.columns.names)
-        if match := EMPTY_LINE.search(text):
-            line = text.count(NEWLINE, 0, match.end() - 1)
-            place = f"row {self._file_row(row + line)}"
+        empty = 0 if text.startswith(LINE_ENDS) else max(map(text.find, EMPTY_LINES)) + 1
+        if empty or text.startswith(LINE_ENDS):
+            place = f"row {self._file_row(row + text.count(NEWLINE, 0, empty))}"
             raise UserError("an empty row within the data", place=place, remedy="Remove it, or cut the record there")
         if b'"' in text:
             return
