@@ -18,6 +18,9 @@ CONTRADICTION = 1e-3
 """Relative difference from which the sample rate of the map contradicts that of the file."""
 SLOWEST_RATE, FASTEST_RATE = 1e-5, 1e9
 """[Hz]. One sample a day, and what no converter of a balance reaches."""
+LEAST_COMMON_LENGTH = 0.9
+"""Of the longest channel at one rate in a file: the others end a block of the logger earlier at most. A lower rate is
+half or less."""
 LATEST_START = 1e12
 """[s]. Clocks count from the year 0 at the earliest."""
 
@@ -59,6 +62,7 @@ class ChannelFinder:
         self.files, self._map = files, declared
         self._channels: dict[str, FoundChannel] = {}
         self._clocks: dict[int, tuple[Clock, str]] = {}
+        self._at_stated_rate: dict[str, FoundChannel] = {}
         for file in files:
             for group in file.groups:
                 for column, channel in enumerate(group.channels):
@@ -115,10 +119,20 @@ class ChannelFinder:
         if group.time is not None:
             return self._clock_by_time(group, FoundChannel(group.names[group.time], channel.file, group, group.time))
         if stated is not None:
+            self._require_one_length(channel)
             return _strided(Clock(stated, group.start, group.samples), group), ""
         if self._map.time is None:
             raise UserError("has no sample rate", file, place, "Add `time: CHANNEL` or `sample_rate: HZ` to the map")
         return self._clock_by_time(group, self._time_of(channel))
+
+    def _require_one_length(self, channel: FoundChannel) -> None:
+        """Raise UserError where channels of one file are of different lengths: they are not all at the stated rate."""
+        first = self._at_stated_rate.setdefault(str(channel.file.path), channel)
+        lengths = [each.group.samples * each.group.stride for each in (first, channel)]
+        if min(lengths) < LEAST_COMMON_LENGTH * max(lengths):
+            fault = f"has {lengths[1]} samples, `{first.name}` has {lengths[0]}: they are not both at `sample_rate`"
+            remedy = "Leave one of them out of the map, or export them with times or with their own rates"
+            raise UserError(fault, str(channel.file.path), f"channel `{channel.name}`", remedy)
 
     def _time_of(self, channel: FoundChannel) -> FoundChannel:
         """The time in the file of a channel; a file without one is on the time of another."""

@@ -16,6 +16,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.importers.base import ChannelGroup, ForeignChannel, ForeignFile
 from balance_cli.importers.time_axis import TimeAxis, read_time_axis
 from balance_cli.importers.time_columns import TIME_NAME
+from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
 from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
@@ -43,6 +44,9 @@ KIND_NAMES = {
 }
 """Words in file names that tell the kind of a run, in the order in which they are looked for."""
 RATE_NAMES = ("sample_rate", "fs", "samplerate", "sampling_rate", "rate", "sr")
+
+STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step")
+"""Names of a time step [s]; `increment` is that of Siemens Testlab."""
 
 
 def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
@@ -176,8 +180,11 @@ def _rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]
 
 
 def _stated_rate(file: ForeignFile) -> float | None:
-    stated = {name.rpartition(".")[2].lower(): value for name, value in file.scalars.items()}
-    return next((stated[name] for name in RATE_NAMES if name in stated), None)
+    """The rate [Hz] that the file states beside its channels, itself or by a step; None where it states several."""
+    stated = [(name.rpartition(".")[2].lower(), value) for name, value in file.scalars.items() if value > 0.0]
+    rates = {value for name, value in stated if name in RATE_NAMES}
+    rates = rates or {whole_rate(1.0 / value) for name, value in stated if name in STEP_NAMES}
+    return rates.pop() if len(rates) == 1 else None
 
 
 def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:

@@ -1,11 +1,15 @@
 """Text and MAT files as data loggers write them: headers of their own, remarks, blanks, columns of a lower rate."""
 
+import h5py
 import numpy as np
 import pytest
 import scipy.io
 
+from balance_cli.campaign.recording.import_map import ImportMap
+from balance_cli.campaign.recording.import_map_file import declared_runs
 from balance_cli.importers import open_foreign
 from balance_cli.io.errors import UserError
+from balance_cli.steps.import_runs import import_run
 from balance_cli.steps.import_sketch import sketch_map
 
 TIME = np.arange(400) / 1000.0
@@ -141,3 +145,60 @@ def test_a_second_block_of_rows_is_refused(tmp_path):
     block = "Channel,{}\nTime,Value\n" + "".join(f"{t:.3f},{x:.6f}\n" for t, x in zip(TIME, X[:, 0], strict=True))
     with pytest.raises(UserError, match="several blocks of rows, one from row 3 and one behind row 405"):
         opened(tmp_path, block.format("a") + "\n" + block.format("b"))
+
+
+# ---- MAT and HDF5 of other programs ----
+
+
+def import_all(file):
+    """The channels of a file by a map with a stated rate, as `sample_rate` of a sketch gives it."""
+    names = [name for group in file.groups for name in group.names]
+    mapping = {"channels": {name: {"name": name, "unit": "V"} for name in names}, "sample_rate": 1000.0}
+    runs = [{"file": "*", "kind": "zero", "run": "zero-1"}]
+    mapping = ImportMap.model_validate({"format": "balance-import/1", "rig": "r", "runs": runs} | mapping)
+    return import_run(declared_runs(mapping, [file.path], "map")[0], mapping, [file])
+
+
+def test_channels_of_different_lengths_are_not_at_one_stated_rate(tmp_path):
+    """As DEWESoft exports a slow channel to MATLAB: one `Sample_rate` in the file, that of the fast ones."""
+    channels = {"Data1_F": X[:, [0]], "Data1_T": X[:40, [1]], "Sample_rate": 1000.0}
+    scipy.io.savemat(tmp_path / "record", channels, appendmat=False)
+    with pytest.raises(UserError, match="`Data1_F` has 400: they are not both at `sample_rate`"):
+        import_all(open_foreign(tmp_path / "record"))
+
+
+def test_steps_of_signals_give_the_rate_of_a_sketch_where_they_agree(tmp_path):
+    """As Siemens Testlab exports signals to MATLAB."""
+    for step, said in ((0.001, "sample_rate: 1000 "), (0.002, "sample_rate: TODO")):
+        signals = {f"Signal_{k}": {"x_values": {"increment": dx}, "y": X[:, [k]]} for k, dx in enumerate((0.001, step))}
+        scipy.io.savemat(tmp_path / "record", signals, appendmat=False)
+        assert said in sketch_map([open_foreign(tmp_path / "record")], None)
+
+
+def test_packed_numbers_and_times_of_netcdf(tmp_path):
+    stored = np.round(X[:, 0] * 30000).astype("i2")
+    stored[7] = -32768
+    with h5py.File(tmp_path / "record", "w") as target:
+        target["time"], target["sensor"], target["force"] = TIME, np.arange(3), stored
+        target["time"].attrs["units"] = "seconds since 2024-03-12"
+        target["sensor"].make_scale("sensor")
+        target["force"].attrs.update({"scale_factor": 1 / 30000, "add_offset": 2.0, "_FillValue": np.int16(-32768)})
+    file = open_foreign(tmp_path / "record")
+    assert "sensor" not in [name for group in file.groups for name in group.names]
+    assert "time: time\n" in sketch_map([file], None) and "time_unit" not in sketch_map([file], None)
+    read = whole(file, "force")
+    assert np.flatnonzero(np.isnan(read)).tolist() == [7]
+    assert np.allclose(np.delete(read, 7), np.delete(2.0 + stored / 30000, 7), atol=1e-12)
+
+
+def test_tables_of_named_columns_and_rates_of_groups_in_hdf5(tmp_path):
+    table = np.zeros(400, [("t", "f8"), ("F", "f4")])
+    table["t"], table["F"] = TIME, X[:, 0]
+    with h5py.File(tmp_path / "record", "w") as target:
+        target["rec"], target["fast"], target["slow"], target["labview"] = table, X[:, 0], X[:40, 1], X[:, 2]
+        target["df/block0_items"], target["df/block0_values"] = [b"A", b"B"], X[:, :2]
+        target.attrs["fs"], target["labview"].attrs["wf_increment"] = 1000.0, 0.002
+    file = open_foreign(tmp_path / "record")
+    rates = {name: group.rate for group in file.groups for name in group.names}
+    assert (rates["fast"], rates["slow"], rates["labview"]) == (1000.0, None, 500.0)
+    assert np.array_equal(whole(file, "rec.F"), table["F"]) and np.array_equal(whole(file, "B"), X[:, 1])
