@@ -29,7 +29,7 @@ def comparison_text(comparison: PlanComparison) -> Iterator[str]:
         ratios = (run.information_ratio, run.level_ratio, run.noise_ratio, run.time_ratio)
         yield f"   {run.run:<28} {_ratio(ratios[0]):>11} {' '.join(f'{_ratio(r):>7}' for r in ratios[1:])}"
         if run.causes:
-            yield f"      fell short: {'; '.join(run.causes)}"
+            yield f"      not as planned: {'; '.join(run.causes)}"
     if comparison.not_made:
         yield f"not made: {', '.join(comparison.not_made)}"
     if comparison.not_planned:

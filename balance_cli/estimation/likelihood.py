@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
 from balance_cli.estimation.channel_distortions import RunDistortions, channel_distortions
-from balance_cli.estimation.inner_products import real_inner_product
-from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones
+from balance_cli.estimation.inner_products import MANY_PARAMETERS, information_product, real_inner_product
+from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones, tones_information
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.estimation.transients import (
@@ -216,6 +216,16 @@ class BatchDerivatives:
             information = information + term.information(rows, columns)
         return np.asarray(information)
 
+    def full_information(self) -> Array:
+        """2 Re sum dY* P dY (p, p)."""
+        every = slice(None)
+        if self.derivatives.shape[2] < MANY_PARAMETERS:
+            return self.information(self.weighted(), every, every)
+        information = 2.0 * information_product(self.derivatives, self.weighted())
+        for term in self.transient_terms:
+            information += term.information(every, every)
+        return information + tones_information(self.tone_terms) if self.tone_terms else information
+
     def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
         """The information of each block of parameters; those of a single parameter, which are many, all at once."""
         diagonal = 2.0 * np.sum(
@@ -243,8 +253,7 @@ def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | No
 def batch_curvature(batch: Batch, system: System, shared: SharedSolutions | None = None) -> Curvature:
     """Chi-square, gradient and information of one batch."""
     item = batch_derivatives(batch, system, shared)
-    every = slice(None)
-    return Curvature(item.fit.total, item.gradient(), item.information(item.weighted(), every, every))
+    return Curvature(item.fit.total, item.gradient(), item.full_information())
 
 
 def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:

@@ -12,7 +12,7 @@ a^2 it is regular at zero, where the gradient has zero mean, as a score must.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,6 +85,13 @@ class ToneTerms:
     def diagonal(self) -> Array:
         """The diagonal (p,) of what is added to the information."""
         return np.asarray(self.missing * self.power**2 - self.phase**2)
+
+
+def tones_information(terms: Sequence[ToneTerms]) -> Array:
+    """The information (p, p) that several tones add, as one product."""
+    power, phase = (np.array(rows) for rows in zip(*((term.power, term.phase) for term in terms), strict=True))
+    missing = np.array([[term.missing] for term in terms])
+    return np.asarray(power.T @ (missing * power) - phase.T @ phase)
 
 
 @dataclass(frozen=True)

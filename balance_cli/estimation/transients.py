@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch, BatchRun
-from balance_cli.estimation.inner_products import real_inner_product
+from balance_cli.estimation.inner_products import MANY_PARAMETERS, real_inner_product
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.response_jacobian import Selection, mask_or_full_slice
 from balance_cli.model.transient_modes import TransientModes, divided_differences
@@ -196,6 +196,12 @@ def _add_reading_derivatives(
     derivatives: ComplexArray, volts_derivative: ComplexArray, own: Selection, motion: ComplexArray
 ) -> None:
     """Add those by what the channels read of a motion and its conjugate (K, 2m), in place."""
+    if len(volts_derivative) >= MANY_PARAMETERS:
+        for channel in range(volts_derivative.shape[1]):
+            shown = volts_derivative[:, channel].any(axis=1)
+            read = np.concatenate([volts_derivative[shown, channel], volts_derivative[shown, channel].conj()], axis=1)
+            derivatives[:, channel, shown] += motion @ read.T
+        return
     read = np.concatenate([volts_derivative[own], volts_derivative[own].conj()], axis=2)
     p, c, m2 = read.shape
     derivatives[:, :, own] += (motion @ read.transpose(2, 1, 0).reshape(m2, c * p)).reshape(-1, c, p)

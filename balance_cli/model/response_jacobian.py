@@ -111,9 +111,10 @@ def output_jacobian(
     _add_gain_derivatives(derivatives, system, solution, index, volts)
     if np.any(mixing.value != np.eye(len(springs))):
         derivatives = mixing.value @ derivatives
-    mixed = mixing.derivative.any(axis=(1, 2))
-    if mixed.any():
-        derivatives[:, :, mixed] += multiply_derivatives(mixing.derivative[mixed], volts)
+    for channel in range(len(springs)):
+        mixed = mixing.derivative[:, channel].any(axis=1)
+        if mixed.any():
+            derivatives[:, channel, mixed] += volts @ mixing.derivative[mixed, channel].T
     return np.asarray(derivatives)
 
 

@@ -32,7 +32,7 @@ class RunComparison:
     """One run: `information_ratio`, achieved over planned, geometric mean over the parameters that the run informs.
 
     `level_ratio`, `noise_ratio` (of the channels, geometric mean) and `time_ratio` (steady seconds) are achieved over
-    planned, NaN where the record does not tell; `causes` says what made a run fall short.
+    planned, NaN where the record does not tell; `causes` says what made a run fall short, and channels that were lost.
     """
 
     run: str
@@ -81,7 +81,8 @@ def compare_run(run: ExecutedRun, campaign: Array) -> RunComparison:
     time = _steady_seconds(run.lines) / _steady_seconds(run.rehearsed)
     ratio = _noise_ratio(run)
     information = information_ratio(run.achieved.information, run.planned.information, campaign)
-    causes = tuple(_causes(level, ratio, time, run)) if information < AS_PLANNED else ()
+    short = _causes(level, ratio, time) if information < AS_PLANNED else ()
+    causes = (*short, *_differences(run))
     return RunComparison(run.plan.run, information, level, ratio, time, causes)
 
 
@@ -111,13 +112,17 @@ def _noise_ratio(run: ExecutedRun) -> float:
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else float("nan")
 
 
-def _causes(level: float, noise: float, time: float, run: ExecutedRun) -> Iterator[str]:
+def _causes(level: float, noise: float, time: float) -> Iterator[str]:
     if level < 1.0 - CLEAR_CHANGE:
         yield f"level {level:.2g} of the planned one"
     if noise > 1.0 + CLEAR_CHANGE:
         yield f"noise {noise:.2g} times the planned one"
     if time < 1.0 - CLEAR_CHANGE:
         yield f"steady for {time:.2g} of the planned time"
+
+
+def _differences(run: ExecutedRun) -> Iterator[str]:
+    """What is not as planned however much the run tells: parameters of a lost channel are not in its ratio."""
     lost = [name for name in run.rehearsed.channel_names if name not in run.lines.channel_names]
     if lost:
         yield f"without {', '.join(lost)}"

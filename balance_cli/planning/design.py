@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,10 @@ from numpy.typing import NDArray
 from balance_cli.planning.candidate_runs import CandidateRun
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.deadline import NO_DEADLINE, Deadline
-from balance_cli.planning.detectability import remaining_diagonal
+from balance_cli.planning.detectability import InformationRows, information_rows, remaining_diagonal
 from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.planning.hub_loads import LoadForecast, parameter_sigma, total_sigma
-from balance_cli.planning.information import RunInformation, add_information
+from balance_cli.planning.information import RunInformation
 from balance_cli.planning.result import RankedRun
 
 Array = NDArray[np.float64]
@@ -64,21 +65,30 @@ class Problem:
         setups = {self.candidates[i].setup for i in chosen}
         return sum(self.candidates[i].minutes for i in chosen) + self.change_minutes * len(setups)
 
-    def total(self, chosen: Sequence[int]) -> RunInformation:
-        """Information before, and of the chosen runs."""
-        return add_information([self.before, *(self.information[i] for i in chosen)], self.model)
+    @cached_property
+    def _known_before(self) -> InformationRows:
+        """That of priors and of the runs already made."""
+        return information_rows(self.before.information + self.model.prior_information, self.model)
+
+    @cached_property
+    def _rows(self) -> tuple[InformationRows, ...]:
+        """That of each candidate."""
+        return tuple(information_rows(run.information, self.model) for run in self.information)
+
+    def total(self, chosen: Sequence[int]) -> InformationRows:
+        """Information of priors, of the runs before, and of the chosen ones."""
+        return sum((self._rows[i] for i in chosen), self._known_before)
 
     def worth(self, chosen: Sequence[int]) -> float:
         """Worth of what is known after the chosen runs."""
         return campaign_worth(self.total(chosen), self.model, self.forecast, self.aim)
 
-    def worth_with(self, known: RunInformation, run: int) -> float:
+    def worth_with(self, known: InformationRows, run: int) -> float:
         """Worth of what is known after one run more than those of the total `known`."""
-        total = add_information([known, self.information[run]], self.model)
-        return campaign_worth(total, self.model, self.forecast, self.aim)
+        return campaign_worth(known + self._rows[run], self.model, self.forecast, self.aim)
 
 
-def campaign_worth(total: RunInformation, model: ExtendedModel, forecast: LoadForecast | None, aim: Aim) -> float:
+def campaign_worth(total: InformationRows, model: ExtendedModel, forecast: LoadForecast | None, aim: Aim) -> float:
     """Worth of the information of a campaign (see the head of the module)."""
     covariance, diagonal = remaining_diagonal(total, model)
     worth = 0.0

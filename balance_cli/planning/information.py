@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch, split_by_run
+from balance_cli.estimation.inner_products import information_product
 from balance_cli.estimation.likelihood import batch_curvature, batch_derivatives
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -27,7 +28,6 @@ from balance_cli.simulation.plans import AnyPlan
 from balance_cli.simulation.signal_store import SignalStore
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,9 @@ def band_information(spectra: Spectra, model: ExtendedModel, edges: Array) -> tu
     (batch,) = split_by_run(stack_runs(spectra.lines, (), model.model.geometry.channel_names))
     item = batch_derivatives(batch, model.system)
     weighted, place = item.weighted(), np.searchsorted(edges, batch.line_frequency * (1.0 + 1e-9), side="right") - 1
-    return tuple(_inner_product(item.derivatives[place == k], weighted[place == k]) for k in range(len(edges)))
-
-
-def _inner_product(derivatives: ComplexArray, weighted: ComplexArray) -> Array:
-    """2 Re sum dY* P dY over lines and channels, of dY (K, c, p) and P dY."""
-    left, right = (values.reshape(-1, values.shape[2]) for values in (derivatives, weighted))
-    return np.asarray(2.0 * (left.real.T @ right.real + left.imag.T @ right.imag))
+    return tuple(
+        2.0 * information_product(item.derivatives[place == k], weighted[place == k]) for k in range(len(edges))
+    )
 
 
 def _run_name(batch: Batch) -> str:

@@ -159,12 +159,12 @@ def line_powers(
     sweeps = candidate_runs(geometry, single, base.settings, base.model.system)
     edges = band_edges(base.settings, base.model)
     shown = band_response(geometry, base.settings.band, base.model.system)
-    bands = []
+    signals, bands = SignalStore(base.rig), []
     for item in progress(sweeps, "bands", len(sweeps)) if progress else sweeps:
         if deadline.is_over:
             return {}
         assert isinstance(item.plan, SweepPlan)
-        spectra = rehearsed_spectra(base.signals.record(item.plan, base.noise, options.seed), geometry)
+        spectra = rehearsed_spectra(signals.record(item.plan, base.noise, options.seed), geometry)
         dof = spectra.lines[0].dof
         parts = band_information(spectra, base.model, edges)
         limit = next(each for each in base.limits if each.component == item.plan.excited[0])

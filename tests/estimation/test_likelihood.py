@@ -8,6 +8,7 @@ import pytest
 from balance_cli.estimation import batch as batch_module
 from balance_cli.estimation.batch import split_large_batches
 from balance_cli.estimation.equation_error import equation_error, fit_equation_error, measured_forces
+from balance_cli.estimation.inner_products import information_product, real_inner_product
 from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.recorded_loads import exciter_response
@@ -193,3 +194,20 @@ def test_least_squares_finds_a_noise_free_rig_from_wrong_declarations():
     fit = fit_equation_error(model.parameters, stack_runs(clean, [], rig.channel_names), model.system, (1.0, 150.0))
     fitted, true = (response(s, solve(s, FREQUENCY)) for s in (model.system(fit.theta), truth.system()))
     assert np.linalg.norm(fitted - true) < 0.02 * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize("wide", [0, 3])
+def test_information_of_parameters_that_show_in_one_channel_is_the_product_of_all(wide):
+    rng, count = np.random.default_rng(3), 9
+    root = circular(rng, 5, 4, 4)
+    precision = root @ root.conj().swapaxes(1, 2)
+    derivatives = circular(rng, 5, 4, count + wide)
+    for parameter in range(count):
+        derivatives[:, np.arange(4) != parameter % 4, parameter] = 0.0
+    derivatives[:, :, count - 1] = 0.0  # shows nowhere
+    weighted = precision @ derivatives
+    expected = real_inner_product(derivatives, weighted)
+    np.testing.assert_allclose(
+        information_product(derivatives, weighted), expected, atol=1e-12 * np.abs(expected).max()
+    )
+    assert np.count_nonzero(expected) > count

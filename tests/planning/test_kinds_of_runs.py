@@ -12,6 +12,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.planning.candidate_runs import candidate_runs
 from balance_cli.planning.channel_noise import ChannelNoise
+from balance_cli.planning.comparison import information_ratio
 from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.deadline import Deadline
 from balance_cli.planning.design import Design
@@ -177,3 +178,13 @@ def test_deadline_counts_from_its_start():
     now[0] = 15.0
     assert deadline.is_over and deadline.was_reached
     assert not Deadline(None).is_over and Design((), 0.0).chosen == ()
+
+
+def test_a_run_is_compared_by_the_parameters_of_which_it_tells_its_share():
+    """A sweep of Mz shows by small asymmetries what others show well: that it shows it less is no fault of the run."""
+    campaign, planned = np.array([1e6, 1e6, 50.0]), np.diag([2e4, 1.0, 50.0])
+    assert information_ratio(np.diag([2e4, 1e-3, 50.0]), planned, campaign) == pytest.approx(1.0)
+    assert information_ratio(np.diag([0.5e4, 1.0, 50.0]), planned, campaign) == pytest.approx(0.5)
+    # A channel that was lost takes the whole information of its own parameters, which are not in the mean.
+    assert information_ratio(np.diag([2e4, 1.0, 0.0]), planned, campaign) == pytest.approx(1.0)
+    assert information_ratio(np.zeros((3, 3)), planned, campaign) == 0.0

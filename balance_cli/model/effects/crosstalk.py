@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, ordered_pairs
@@ -30,9 +28,11 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     to, source = (equations.channel_names.index(name) for name in where)
-    entry = np.zeros((len(equations.paths),) * 2)
-    entry[to, source] = 1.0
-    return replace(equations, mixing=equations.mixing + values["fraction"] * entry)
+    fraction, value, derivative = values["fraction"], equations.mixing.value.copy(), equations.mixing.derivative.copy()
+    # One entry: a rig with many channels has hundreds of places, and as many parameters.
+    value[to, source] += fraction.value
+    derivative[:, to, source] += fraction.derivative
+    return replace(equations, mixing=Dual(value, derivative))
 
 
 EFFECT = Effect(

@@ -47,7 +47,11 @@ class Dual:
         return other if isinstance(other, Dual) else constant(other, self.parameters)
 
     def __add__(self, other: Dual | ArrayLike) -> Dual:
-        that = self._as_dual(other)
+        if not isinstance(other, Dual):
+            value = self.value + np.asarray(other, float)
+            shape = (self.parameters, *value.shape)
+            return Dual(value, np.array(np.broadcast_to(_align_derivative(self, value.ndim), shape)))
+        that = other
         value = self.value + that.value
         return Dual(value, _align_derivative(self, value.ndim) + _align_derivative(that, value.ndim))
 
@@ -63,7 +67,12 @@ class Dual:
         return self._as_dual(other) + (-self)
 
     def __mul__(self, other: Dual | ArrayLike) -> Dual:
-        that = self._as_dual(other)
+        if not isinstance(other, Dual):
+            # Of many parameters the derivative of a constant, all zeros, takes longer than the product.
+            factor = np.asarray(other, float)
+            value = self.value * factor
+            return Dual(value, _align_derivative(self, value.ndim) * factor)
+        that = other
         value = self.value * that.value
         derivative = _align_derivative(self, value.ndim) * that.value + self.value * _align_derivative(that, value.ndim)
         return Dual(value, derivative)
