@@ -63,11 +63,13 @@ def findings_from_rows(
     """As `campaign_findings`, from the rows of the runs and the stated levels of the sweeps."""
     if not rows:
         return ()
-    runs = gather_evidence(rows, geometry, balance_model(geometry).system())
-    mismatch = frequency_mismatch(runs, geometry)
+    system = balance_model(geometry).system()
+    runs = gather_evidence(rows, geometry, system)
+    mismatch = frequency_mismatch(runs, geometry, system)
     if mismatch is not None and mismatch.factor is not None:
         geometry = with_stiffness(geometry, mismatch.cells, mismatch.factor)
-        runs = gather_evidence(rows, geometry, balance_model(geometry).system())
+        system = balance_model(geometry).system()
+        runs = gather_evidence(rows, geometry, system)
     groups: dict[str | None, list[int]] = {}
     for index, channel in enumerate(geometry.channels):
         if channel.cell is not None:
@@ -78,7 +80,7 @@ def findings_from_rows(
         mistakes, corrected = [], runs
     findings = [*describe_mistakes(mistakes, geometry)]
     if mismatch is None or mismatch.factor is None:  # the mistakes may have hidden it, or been taken for it
-        mismatch = frequency_mismatch(corrected, geometry) if mistakes else mismatch
+        mismatch = frequency_mismatch(corrected, geometry, system) if mistakes else mismatch
     findings += _frequency_findings(mismatch)
     if not any(finding.is_fault for finding in findings):
         findings += _hub_findings(corrected, geometry)

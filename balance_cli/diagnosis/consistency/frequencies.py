@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Cell, Geometry
 from balance_cli.diagnosis.consistency.evidence import Evidence, computed_forces, force_scale
 from balance_cli.model.balance import balance_model
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 
@@ -56,21 +57,24 @@ class FrequencyMismatch:
     runs: tuple[str, ...]
 
 
-def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry) -> FrequencyMismatch | None:
-    """Return how the sweeps contradict the computed responses; None where they agree, or do not say."""
+def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry, system: System) -> FrequencyMismatch | None:
+    """Return how the sweeps contradict the computed responses of the geometry's system; None where they agree, or do
+    not say.
+    """
     sweeps = [run for run in runs if run.rows.kind == "sweep" and len(run.applied) == 1]
     sweeps = [run for run in sweeps if len(run.rows.frequency) >= FEWEST_ROWS and run.loads[:, run.applied[0]].all()]
-    felt = _felt_components(geometry)
+    felt = _felt_components(system)
     sweeps = [run for run in sweeps if run.applied[0] in felt]
     if not sweeps:
         return None
     names = tuple(run.run for run in sweeps)
-    declared = _differences(sweeps, geometry, 1.0)
+    scale = force_scale(geometry)
+    declared = _differences(sweeps, system, scale)
     difference = float(declared.max())
     odd = _odd_cells(geometry)
     for cells in odd:
         factor = UNIT_FACTORS[0] if _is_soft(cells, geometry) else UNIT_FACTORS[1]
-        changed = _differences(sweeps, with_stiffness(geometry, cells, factor), 1.0)
+        changed = _differences(sweeps, _changed_system(geometry, cells, factor), scale)
         if np.sum(changed**2) < ODD_CELL_SHARE * np.sum(declared**2):
             return FrequencyMismatch(difference, factor, cells, names)
     if difference < DIFFERENT:
@@ -78,17 +82,16 @@ def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry) -> Frequenc
     limit = min(EXPLAINED_SHARE * difference, LARGEST_REMAINING)
     for factor in UNIT_FACTORS:
         for cells in _groups(geometry):
-            if _differences(sweeps, with_stiffness(geometry, cells, factor), 1.0).max() < limit:
+            if _differences(sweeps, _changed_system(geometry, cells, factor), scale).max() < limit:
                 return FrequencyMismatch(difference, factor, cells, names)
-    scaled = [(float(np.median(_differences(sweeps, geometry, 1.0 / scale))), scale) for scale in SCALES]
-    best, scale = min(scaled)
-    explained = best < limit and abs(np.log(scale**2)) > np.log(SMALLEST_RATIO)
-    return FrequencyMismatch(difference, float(scale**2) if explained else None, (), names)
+    best, ratio = min((float(np.median(_differences(sweeps, system, scale, 1.0 / ratio))), ratio) for ratio in SCALES)
+    explained = best < limit and abs(np.log(ratio**2)) > np.log(SMALLEST_RATIO)
+    return FrequencyMismatch(difference, float(ratio**2) if explained else None, (), names)
 
 
-def _felt_components(geometry: Geometry) -> frozenset[int]:
+def _felt_components(system: System) -> frozenset[int]:
     """Return the load components that load a cell: a rig of few degrees of freedom does not feel all of them."""
-    forces = np.abs(computed_forces(balance_model(geometry).system(), np.array([STATIC_FREQUENCY]), 0.0)[0])
+    forces = np.abs(computed_forces(system, np.array([STATIC_FREQUENCY]), 0.0)[0])
     largest = forces.max(axis=0)
     return frozenset(np.flatnonzero(largest > LEAST_FELT * largest.max(initial=0.0)).tolist())
 
@@ -125,10 +128,15 @@ def _scaled(cell: Cell, factor: float) -> Cell:
     return cell.model_copy(update={"stiffness": cell.effective_stiffness * factor, "series": None})
 
 
-def _differences(sweeps: Sequence[Evidence], geometry: Geometry, ratio: float) -> Array:
-    """Return the rms over a sweep of each component of log measured less log computed at `ratio` times the lines."""
-    system = balance_model(geometry).system()
-    scale = force_scale(geometry)
+def _changed_system(geometry: Geometry, cells: tuple[str, ...], factor: float) -> System:
+    return balance_model(with_stiffness(geometry, cells, factor)).system()
+
+
+def _differences(sweeps: Sequence[Evidence], system: System, scale: Array, ratio: float = 1.0) -> Array:
+    """Return the rms over a sweep of each component of log measured less log computed at `ratio` times the lines.
+
+    `scale` (c,) are the divisors of the forces.
+    """
 
     def computed(run: Evidence) -> Array:
         forces = computed_forces(system, run.rows.frequency * ratio, 0.0)[:, :, run.applied[0]] / scale

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.consistency.evidence import Evidence
+from balance_cli.diagnosis.consistency.exchanges import Exchanges
 from balance_cli.diagnosis.consistency.residuals import Residuals, Weights, residuals
 
 ComplexArray = NDArray[np.complex128]
@@ -89,12 +90,10 @@ def _parts(part: Residuals) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     return part.geometry, part.runs, part.pairs
 
 
-def effect_of_mistake(hypothesis: Hypothesis, run: Evidence, weights: Weights) -> Effect:
-    """Return the residuals of a run with and without a mistake."""
+def effect_of_mistake(hypothesis: Hypothesis, run: Evidence, weights: Weights, recorded: Residuals) -> Effect:
+    """Return the residuals of a run, as `recorded` and without a mistake, as far as the weights compare them."""
     corrected = undo(hypothesis, run, 0.0)
-    return Effect(
-        residuals(run, run.forces, run.loads, weights), residuals(run, corrected.forces, corrected.loads, weights)
-    )
+    return Effect(recorded.with_weights(weights), residuals(run, corrected.forces, corrected.loads, weights))
 
 
 def estimate_factor(effects: Sequence[Effect]) -> float:
@@ -117,18 +116,18 @@ def without_scaled_pairs(hypothesis: Hypothesis, run: Evidence, weights: Weights
 
 
 def candidate_hypotheses(
-    suspicious: Sequence[int], components: Sequence[int], alike: NDArray[np.bool_], by_source: Sequence[tuple[int, ...]]
+    suspicious: Sequence[int], components: Sequence[int], exchanges: Exchanges, by_source: Sequence[tuple[int, ...]]
 ) -> list[Hypothesis]:
     """Return the mistakes to be tried, the simplest first, for channels and components that contradict something.
 
-    `alike` (c, c) says which channels may have been exchanged. `by_source` are the channels of each cell, which one
-    wrong axis reverses together and one wrong position exchanges together. Without components, nothing contradicts but
+    `by_source` are the channels of each cell, which one wrong axis reverses together and one wrong position exchanges
+    together; they need only be alike. Without components, nothing contradicts but
     channels of a cell each other.
     """
     sources = [group for group in by_source if len(group) > 1 and set(suspicious) & set(group)]
     channel_mistakes = [
         *(Hypothesis(SCALE_CHANNELS, (i,)) for i in suspicious),
-        *(Hypothesis(EXCHANGE_CHANNELS, pair) for pair in combinations(suspicious, 2) if alike[pair]),
+        *(Hypothesis(EXCHANGE_CHANNELS, pair) for pair in combinations(suspicious, 2) if exchanges.possible[pair]),
     ]
     if not components:
         return channel_mistakes
@@ -141,8 +140,8 @@ def candidate_hypotheses(
         *(
             Hypothesis(EXCHANGE_CHANNELS, tuple(i for pair in zip(first, second, strict=True) for i in pair))
             for first, second in combinations(sources, 2)
-            if len(first) == len(second) and all(alike[pair] for pair in zip(first, second, strict=True))
+            if len(first) == len(second) and all(exchanges.alike[pair] for pair in zip(first, second, strict=True))
         ),
         *(Hypothesis(SCALE_LOADS, group) for group in (forces, moments) if len(group) > 1),
-        Hypothesis(SCALE_CHANNELS, tuple(range(len(alike)))),
+        Hypothesis(SCALE_CHANNELS, tuple(range(len(exchanges.alike)))),
     ]

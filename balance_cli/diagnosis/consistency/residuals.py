@@ -18,6 +18,10 @@ CHANNEL_ERROR = 0.01
 CHECK_ERROR = 0.3
 """Relative error of a response from sweeps at the lines of a check run: bands are as wide as half of a mode, few lines
 near a mode decide, and the rotor turns. Signs, units and exchanges are seen nevertheless."""
+SIGNIFICANT = 9.0
+"""Sum of squares of a column of residuals from which it contradicts: three times the usual error."""
+REMAINING_SHARE = 0.05
+"""Of the sum of squares of all columns that a mistake concerns: what may remain once it is undone."""
 NEGLIGIBLE_ENERGY = 1e-4
 """Of the strongest channel of a run: below it (1 % in amplitude) the pair of a channel is not compared."""
 
@@ -36,7 +40,13 @@ class Residuals:
     @property
     def energy(self) -> Array:
         """Sums of squares of all columns, (2 c + p,)."""
-        return np.concatenate([np.sum(np.abs(part) ** 2, axis=0) for part in (self.geometry, self.runs, self.pairs)])
+        parts = (self.geometry, self.runs, self.pairs)
+        return np.concatenate([np.einsum("kc,kc->c", part, part.conj()).real for part in parts])
+
+    def with_weights(self, weights: Weights) -> Residuals:
+        """Return the residuals without those that these weights do not compare."""
+        runs = self.runs if np.isfinite(weights.runs) else np.zeros_like(self.runs)
+        return Residuals(self.geometry, runs, np.where(np.isfinite(weights.pairs), self.pairs, 0.0))
 
     @property
     def vector(self) -> ComplexArray:

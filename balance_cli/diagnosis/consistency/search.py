@@ -9,9 +9,8 @@ import numpy as np
 
 from balance_cli.diagnosis.consistency.evidence import Evidence
 from balance_cli.diagnosis.consistency.hypotheses import Hypothesis, undo
-from balance_cli.diagnosis.consistency.residuals import residuals
+from balance_cli.diagnosis.consistency.residuals import SIGNIFICANT, residuals
 from balance_cli.diagnosis.consistency.trials import (
-    SIGNIFICANT,
     TIE,
     State,
     Trial,

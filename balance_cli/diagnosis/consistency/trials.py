@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.consistency.evidence import Evidence, alike_channels, with_references
+from balance_cli.diagnosis.consistency.evidence import Evidence, with_references
+from balance_cli.diagnosis.consistency.exchanges import RunExchanges, exchanges_in_all, find_exchanges
 from balance_cli.diagnosis.consistency.hypotheses import (
     EXCHANGE_CHANNELS,
     EXCHANGE_LOADS,
@@ -24,14 +25,17 @@ from balance_cli.diagnosis.consistency.hypotheses import (
     undo,
     without_scaled_pairs,
 )
-from balance_cli.diagnosis.consistency.residuals import Weights, residual_weights, residuals
+from balance_cli.diagnosis.consistency.residuals import (
+    REMAINING_SHARE,
+    SIGNIFICANT,
+    Residuals,
+    Weights,
+    residual_weights,
+    residuals,
+)
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 9.0
-"""Sum of squares of a column of residuals from which it contradicts: three times the usual error."""
-REMAINING_SHARE = 0.05
-"""Of the sum of squares of all columns that a mistake concerns: what may remain once it is undone."""
 LARGEST_MISFIT = 0.1
 """Sum of squares that may remain once a factor is undone, over that without the channels or loads: their pattern must
 be that of the prediction (a correlation of 0.95), or a small factor would silence anything."""
@@ -56,10 +60,11 @@ class Trial:
 
 @dataclass(frozen=True)
 class State:
-    """All runs with their weights and the energies of their columns; the channels of each cell."""
+    """All runs with their weights, their residuals as recorded and the energies of these; the channels of each cell."""
 
     runs: list[Evidence]
     weights: list[Weights]
+    recorded: list[Residuals]
     energy: list[Array]
     by_source: tuple[tuple[int, ...], ...]
 
@@ -78,19 +83,22 @@ def make_state(runs: list[Evidence], by_source: tuple[tuple[int, ...], ...]) -> 
     """Return the state of these runs, each compared with the others as they are now."""
     runs = with_references(runs)
     weights = [residual_weights(run) for run in runs]
-    energy = [residuals(run, run.forces, run.loads, w).energy for run, w in zip(runs, weights, strict=True)]
-    return State(runs, weights, energy, by_source)
+    recorded = [residuals(run, run.forces, run.loads, w) for run, w in zip(runs, weights, strict=True)]
+    return State(runs, weights, recorded, [part.energy for part in recorded], by_source)
 
 
 def ranked_trials(state: State) -> list[Trial]:
     """Return the hypotheses that pass; first the one to be accepted, then by falling gain."""
     suspicious = [suspect_channels(state, index) for index in state.all_runs]
+    if not any(suspicious):
+        return []
+    exchanges = [find_exchanges(*items) for items in zip(state.runs, state.weights, state.energy, strict=True)]
     found: list[Trial] = []
     for index in state.all_runs:
         if suspicious[index]:
-            found += _trials_for(state, (index,), suspicious[index])
-    if len(state.runs) > 1 and any(suspicious):
-        found += _trials_for(state, state.all_runs, sorted(set().union(*map(set, suspicious))))
+            found += _trials_for(state, (index,), suspicious[index], exchanges)
+    if len(state.runs) > 1:
+        found += _trials_for(state, state.all_runs, sorted(set().union(*map(set, suspicious))), exchanges)
     if not found:
         return []
     best = max(trial.gain for trial in found)
@@ -110,13 +118,15 @@ def suspect_channels(state: State, index: int) -> list[int]:
     return [int(i) for i in np.flatnonzero(bad)]
 
 
-def _trials_for(state: State, members: tuple[int, ...], suspicious: Sequence[int]) -> list[Trial]:
+def _trials_for(
+    state: State, members: tuple[int, ...], suspicious: Sequence[int], exchanges: Sequence[RunExchanges]
+) -> list[Trial]:
     c = state.channels
     responds = any(np.any(state.energy[index][: 2 * c] > SIGNIFICANT) for index in members)
     components = sorted({j for index in members for j in state.runs[index].applied}) if responds else []
     trials = []
-    alike = np.any([alike_channels(state.runs[index]) for index in members], axis=0)
-    for hypothesis in candidate_hypotheses(suspicious, components, alike, state.by_source):
+    exchanged = exchanges_in_all([exchanges[index] for index in members])
+    for hypothesis in candidate_hypotheses(suspicious, components, exchanged, state.by_source):
         concerned = tuple(index for index in members if concerns(hypothesis, state.runs[index]))
         if concerned and (len(members) == 1 or len(concerned) > 1):
             trial = _try(state, hypothesis, concerned)
@@ -189,7 +199,7 @@ def _compare(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> 
     for index in members:
         weight = without_scaled_pairs(hypothesis, state.runs[index], state.weights[index])
         weight = replace(weight, runs=np.inf) if len(members) > 1 else weight
-        effects.append(effect_of_mistake(hypothesis, state.runs[index], weight))
+        effects.append(effect_of_mistake(hypothesis, state.runs[index], weight, state.recorded[index]))
     factor = estimate_factor(effects) if hypothesis.has_factor else 0.0
     after = [effect.with_factor(factor) if hypothesis.has_factor else effect.undone for effect in effects]
     return _Energies(
