@@ -6,6 +6,7 @@ import csv
 import itertools
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
@@ -180,7 +181,8 @@ def split_cells(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.replace('"', "").split()
     if '"' in line:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+        with suppress(csv.Error):  # a cell of more than 131072 characters, with a quote without its partner
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
     return [cell.strip() for cell in line.split(separator)]
 
 

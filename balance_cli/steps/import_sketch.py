@@ -50,7 +50,17 @@ STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step"
 
 
 def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
-    """YAML of a map of these files: what could not be guessed has a comment with TODO."""
+    """YAML of a map of these files: what could not be guessed has a comment with TODO.
+
+    Raises UserError, with the first file, where it holds no signal or its samples cannot be read.
+    """
+    try:
+        return _map_of(files, geometry)
+    except UserError as error:
+        raise error.with_location(file=str(files[0].path)) from error
+
+
+def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     first = files[0]
     channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
     times = [group.channels[group.time] for group in first.groups if group.time is not None]

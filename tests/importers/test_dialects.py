@@ -147,6 +147,13 @@ def test_a_second_block_of_rows_is_refused(tmp_path):
         opened(tmp_path, block.format("a") + "\n" + block.format("b"))
 
 
+def test_a_quote_without_its_partner_before_a_long_cell_is_a_row_without_numbers(tmp_path):
+    rows = "".join(f"{t:.6f},{x:.6f}\n" for t, (x, *_) in zip(TIME, X, strict=True))
+    (tmp_path / "record.csv").write_text("t,force\n" + rows + '"' + "x" * 140_000 + ",1.0\n")
+    with pytest.raises(UserError, match=r"record\.csv.*row 402.*is not a number"):
+        sketch_map([open_foreign(tmp_path / "record.csv")], None)
+
+
 # ---- MAT and HDF5 of other programs ----
 
 
