@@ -111,16 +111,20 @@ def import_map(folder: Path, scale: int) -> Path:
 
 def fingerprints(folder: Path) -> dict[str, str]:
     """Return what identifies each file below a folder: artefacts by their content, other files by their bytes."""
-    return {str(path.relative_to(folder)): fingerprint(path) for path in sorted(folder.rglob("*")) if path.is_file()}
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {str(path.relative_to(folder)): fingerprint(path, folder) for path in files}
 
 
-def fingerprint(path: Path) -> str:
+def fingerprint(path: Path, folder: Path) -> str:
     """Return the content digest of an artefact that can be read whole, else the digest of the bytes.
 
-    Pages state when each of their artefacts was made, which no two chains share.
+    Pages state when each of their artefacts was made, which no two chains share. Summaries in JSON name their output,
+    which lies in another folder in each trial.
     """
     if path.suffix == ".html":
         return hashlib.sha256(MADE_AT.sub(b"", path.read_bytes())).hexdigest()[:16]
+    if path.suffix == ".json":
+        return hashlib.sha256(path.read_bytes().replace(str(folder).encode(), b"OUT")).hexdigest()[:16]
     if h5py.is_hdf5(path):
         with suppress(KeyError), h5py.File(path, "r") as file:
             file.visititems(lambda _name, item: item[()] if isinstance(item, h5py.Dataset) else None)
