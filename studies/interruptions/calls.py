@@ -25,6 +25,7 @@ LONGEST_CALL = 300.0
 """[s]. A call that takes longer hangs."""
 MADE_AT = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00")
 """Time of an artefact on the page."""
+PROGRESS = re.compile(r"balance: .*\d+ % after ")
 OLD = b"old"
 """What an output contains before the call."""
 
@@ -138,8 +139,9 @@ def leftovers(folder: Path) -> list[str]:
 
 
 def messages(text: str) -> list[str]:
-    """Return the lines on stderr that are neither warnings nor empty."""
-    return [line for line in text.splitlines() if line and not line.startswith("balance: warning:")]
+    """Return the lines on stderr that are neither warnings nor progress, which a slow machine reports, nor empty."""
+    lines = [line for line in text.splitlines() if line and not line.startswith("balance: warning:")]
+    return [line for line in lines if not PROGRESS.match(line)]
 
 
 def is_whole(found: Mapping[str, str], old: Mapping[str, str], new: Mapping[str, str]) -> bool:
