@@ -50,10 +50,7 @@ STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step"
 
 
 def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
-    """YAML of a map of these files: what could not be guessed has a comment with TODO.
-
-    Raises UserError, with the first file, where it holds no signal or its samples cannot be read.
-    """
+    """YAML of a map of these files, with TODO where nothing could be guessed. Raises UserError with the first file."""
     try:
         return _map_of(files, geometry)
     except UserError as error:

@@ -25,7 +25,7 @@ LONGEST_CALL = 300.0
 """[s]. A call that takes longer hangs."""
 MADE_AT = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00")
 """Time of an artefact on the page."""
-PROGRESS = re.compile(r"balance: .*\d+ % after ")
+PROGRESS = re.compile(r"balance: .*(\d+ % after|at work for) ")
 OLD = b"old"
 """What an output contains before the call."""
 

@@ -125,8 +125,8 @@ def _trials_for(
     responds = any(np.any(state.energy[index][: 2 * c] > SIGNIFICANT) for index in members)
     components = sorted({j for index in members for j in state.runs[index].applied}) if responds else []
     trials = []
-    exchanged = exchanges_in_all([exchanges[index] for index in members])
-    for hypothesis in candidate_hypotheses(suspicious, components, exchanged, state.by_source):
+    pairs = exchanges_in_all([exchanges[index] for index in members])
+    for hypothesis in candidate_hypotheses(suspicious, components, pairs, state.by_source):
         concerned = tuple(index for index in members if concerns(hypothesis, state.runs[index]))
         if concerned and (len(members) == 1 or len(concerned) > 1):
             trial = _try(state, hypothesis, concerned)
