@@ -209,8 +209,11 @@ def test_without_scripts_and_in_print_static_pictures_stand_in(open_page):
     tab = open_page(java_script_enabled=False)
     assert tab.locator("#picture-azimuth .static svg").first.is_visible()
     assert not tab.locator("#picture-azimuth .scripted").is_visible()
-    printed = open_page()
+    printed = open_page(703)  # A4 without its margins
     printed.emulate_media(media="print")
+    right = "e => e.getBoundingClientRect().right"
+    for card in printed.locator(".card").all():
+        assert card.locator("table").evaluate(right) <= card.evaluate(right)
     assert printed.locator("#picture-azimuth .static svg").first.is_visible()
     assert not printed.locator("#picture-azimuth .tools").is_visible()
 
