@@ -33,11 +33,21 @@ from balance_cli.report.sources import Source, Sources
 PARAMETER_HEADER = ("parameter", "unit", "value", "sigma", "declared", "tolerance", "deviation", "informed by")
 LARGE_DEVIATION = 3.0
 """Deviation from the declared value, in declared sigmas, beyond which it is marked (p = 0.0027)."""
+LOW_CHI2_PER_DOF, LOW_CHI2_SIGMAS = 0.8, 5.0
+"""Chi-square per degree of freedom below both limits means that the noise is stated too large: by 12 % at least, and
+not by chance (with n degrees of freedom it scatters by sqrt(2 / n))."""
 
 
 def is_good_fit(model: IdentifiedModel) -> bool:
     """Whether a fitted model describes its data to within the noise."""
     return model.quality.chi2_per_dof <= GOOD_FIT_CHI2_PER_DOF
+
+
+def is_noise_overstated(model: IdentifiedModel) -> bool:
+    """Whether chi-square is lower than noise of the stated size can make it: the noise is stated too large."""
+    quality = model.quality
+    limit = min(LOW_CHI2_PER_DOF, 1.0 - LOW_CHI2_SIGMAS * np.sqrt(2.0 / max(quality.dof, 1.0)))
+    return bool(quality.chi2_per_dof < limit)
 
 
 def section(sources: Sources) -> Section | None:

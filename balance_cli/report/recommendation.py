@@ -79,8 +79,11 @@ def reason_sentence(recommendation: Recommendation, sources: Sequence[Source[Hub
     if source.role in NEVER_BEFORE_MEASURED:
         reasons.append("no loads by a measured or fitted response were given")
     unusable = all(run_verdict(run).word == DO_NOT_USE for run in recommendation.runs.values())
-    words = f"{'Do not use these loads, the best that were given' if unusable else 'Recommended'}: {source.label}"
-    if recommendation.runs and len(sources) > 1:
+    words = "Do not use these loads, the best that were given" if unusable else "Recommended"
+    if not others:
+        words = "Do not use these loads, the only ones given" if unusable else "The only loads given"
+    words += f": {source.label}"
+    if recommendation.runs and others:
         words += f", of {len(others) + 1} methods"
     return f"{words}. {capitalize_first('; '.join(reasons))}." if reasons else f"{words}."
 

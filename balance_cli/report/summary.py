@@ -15,7 +15,7 @@ from balance_cli.report.few_runs import condense
 from balance_cli.report.frequencies import LARGE_FREQUENCY_DEVIATION, frequency_deviation, reference_model
 from balance_cli.report.load_verdicts import residual_test_figure, verdict_blocks
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant, join_names
-from balance_cli.report.parameters import is_good_fit
+from balance_cli.report.parameters import is_good_fit, is_noise_overstated
 from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Sources
@@ -132,7 +132,7 @@ def _model_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
     if best is None:
         return
     quality = best.content.quality
-    mark = "good" if is_good_fit(best.content) else "bad"
+    mark = "bad" if not is_good_fit(best.content) else "" if is_noise_overstated(best.content) else "good"
     yield format_significant(quality.chi2_per_dof), f"chi2/dof, {best.label}", mark
     computed = next((source for source in sources.models if source.role is SourceRole.COMPUTED), None)
     if computed is not None:
@@ -153,7 +153,11 @@ def _verdict_blocks(sources: Sources) -> Iterator[PageBlock]:
             f"{format_percent(best.content.quality.frf_error)} %. The model lacks at least one effect."
         )
     elif best is not None:
-        yield BulletList((f"{capitalize_first(best.label)} describes the data to within their noise.",))
+        words = f"{capitalize_first(best.label)} describes the data to within their noise"
+        if is_noise_overstated(best.content):
+            found = format_significant(best.content.quality.chi2_per_dof)
+            words += f", which is stated too large (chi2/dof is {found}, not 1): small effects would not be seen"
+        yield BulletList((f"{words}.",))
     ranking = _ranking_sentence(sources)
     if ranking:
         yield BulletList((ranking,))

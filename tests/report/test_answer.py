@@ -45,6 +45,11 @@ def test_the_first_screen_holds_the_loads_of_the_wind_run_by_the_best_method():
     assert (fx[3].text, fx[3].title) == ("no zero", "mean: no zero; 1/rev: tested and good")
 
 
+def test_the_only_method_given_is_not_called_recommended():
+    blocks = list(answer_blocks(sources_of(loads("physical model (ls+ml)", 0.4))))
+    assert blocks[0].text.startswith("The only loads given: identified rigid (LS+ML). Its error on known loads")
+
+
 def test_a_method_without_dynamics_is_never_recommended_over_one_that_was_measured():
     rigid = with_flags(loads("physical model (ls+ml)", 0.4), "model contradicted")
     static = with_flags(loads("static matrix", 0.01), "untested")

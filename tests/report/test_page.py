@@ -172,6 +172,19 @@ def test_a_model_that_does_not_describe_the_data_is_called_so(ratio, warned):
     assert ("does not describe" in texts(parameter_section(given), "warn")) is warned
 
 
+@pytest.mark.parametrize(("ratio", "mark", "said"), [(1.0, "good", False), (0.75, "good", False), (0.6, "", True)])
+def test_a_chi_square_that_is_too_small_is_no_praise(ratio, mark, said):
+    """With 500 degrees of freedom 0.75 is within five standard deviations of 1."""
+    made = summary.section(
+        group_sources([(Path("m.h5"), artefact("balance-model/1", model(chi2_per_dof=ratio), "1" * 64))])
+    )
+    figures = [item for block in made.blocks if block.kind == "figures" for item in block.items]
+    assert [item[2] for item in figures if item[1].startswith("chi2/dof")] == [mark]
+    points = " ".join(item for block in made.blocks if block.kind == "points" for item in block.items)
+    assert "describes the data to within their noise" in points
+    assert ("stated too large" in points) is said
+
+
 def test_wind_on_harmonics_beyond_the_limit_are_counted_and_lost_channels_named():
     given = group_sources([(Path("l.h5"), artefact("balance-loads/1", loads(redundancy=9.0), "1" * 64))])
     words = texts(wind_section(given), "warn")
