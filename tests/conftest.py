@@ -20,6 +20,7 @@ LONGEST_FILES = (
     "tests/cli/test_diagnose_command.py",
     "tests/signals/local/test_tones.py",
     "tests/test_chain.py",
+    "studies/tests/test_blind.py",
 )
 
 # The same examples in every run: a failure is found again, and what passes here passes elsewhere. No limit of time: a
