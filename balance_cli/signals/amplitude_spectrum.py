@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 
 def amplitude_spectrum(samples: Array, sample_rate: float, longest: int = 16384) -> tuple[Array, Array]:
@@ -29,6 +30,19 @@ def amplitude_spectrum(samples: Array, sample_rate: float, longest: int = 16384)
         power += np.abs(rfft(centered[start : start + length] * window[:, None], axis=0)) ** 2
     frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / sample_rate), float)
     return frequency, np.asarray(2.0 / window.sum() * np.sqrt(power / len(starts)))
+
+
+def normalize_channels(values: Array) -> tuple[Singles, Array]:
+    """Return the channels (c, m) of values (m, c) without their means, in single precision, over their largest (c,).
+
+    The rounding is far below the side lobes of the windows with which lines are sought.
+    """
+    deviation = np.array(values.T, order="C")
+    deviation -= deviation.mean(axis=1, keepdims=True)
+    scale = np.maximum(np.maximum(deviation.max(axis=1), -deviation.min(axis=1)), np.finfo(float).tiny)
+    channels = np.empty(deviation.shape, np.float32)
+    np.multiply(deviation, 1.0 / scale[:, None], out=channels, casting="same_kind")
+    return channels, scale
 
 
 def fast_length(samples: int) -> int:

@@ -251,7 +251,7 @@ def run_digest(run: Run) -> str:
     if run.reading_units:
         hashed.update(json.dumps(["reading_units", run.reading_units], sort_keys=True).encode())
     for block in run.blocks():
-        hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
+        hashed.update(np.ascontiguousarray(block.channels, "<f8").data)
         if block.loads is not None:
-            hashed.update(np.ascontiguousarray(block.loads, "<f8").tobytes())
+            hashed.update(np.ascontiguousarray(block.loads, "<f8").data)
     return hashed.hexdigest()

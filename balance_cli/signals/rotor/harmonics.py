@@ -15,7 +15,7 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
-from balance_cli.signals.rotor.line_sums import LineSums, unit_powers
+from balance_cli.signals.rotor.line_sums import LineSums, trigonometric_basis
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
 
 Array = NDArray[np.float64]
@@ -162,7 +162,7 @@ def estimate_harmonics(
         time = np.clip(index / run.sample_rate, azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
-        moment = _regression_basis(unit_powers(psi, fitted_count), other.basis(time)) @ (errors * weight).T
+        moment = _regression_basis(psi, fitted_count, other.basis(time)) @ (errors * weight).T
         return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
 
     span = _sample_span(run, start, end)
@@ -228,7 +228,7 @@ def _read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Arra
     read = run.read(low, high)
     stacked = read.channels if read.loads is None else np.hstack([read.channels, read.loads])
     known = _signal_names(run)
-    signals = np.asarray(stacked[:, [known.index(name) for name in names]], float)
+    signals = stacked if names == known else np.asarray(stacked[:, [known.index(name) for name in names]], float)
     if not np.all(np.isfinite(signals)):
         bad = names[int(np.flatnonzero(~np.all(np.isfinite(signals), axis=0))[0])]
         remedy = "Leave the channel out"
@@ -242,9 +242,11 @@ def _empty_sums(highest_line: int, fitted_count: int, other: int, count: int) ->
     return _NormalEquations(turning, border, np.zeros((columns, count)), LineSums(highest_line, count), np.zeros(4))
 
 
-def _regression_basis(powers: ComplexArray, other: Array) -> Array:
-    """Basis of the regression: cos(0 .. F psi), sin(1 .. F psi) from exp(j k psi) (F + 1, m), and `other` (m, e)."""
-    return np.concatenate([powers.real, powers[1:].imag, other.T])
+def _regression_basis(psi: Array, fitted_count: int, other: Array) -> Array:
+    """Basis of the regression: cos(0 .. F psi), sin(1 .. F psi), and `other` (m, e)."""
+    basis = trigonometric_basis(psi, fitted_count, other.shape[1])
+    basis[2 * fitted_count + 1 :] = other.T
+    return basis
 
 
 def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_count: int) -> None:
@@ -252,11 +254,19 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
 
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
-    w, powers = samples.weight, unit_powers(samples.psi, fitted_count)
-    basis = _regression_basis(powers, samples.other)
-    sums.turning += np.concatenate([powers @ w, powers[1:] @ (powers[-1] * w)])
-    sums.border += (basis[2 * fitted_count + 1 :] * w) @ basis.T
-    sums.moment += basis @ (samples.signals * w[:, None])
+    w, F, c = samples.weight, fitted_count, samples.signals.shape[1]
+    basis = _regression_basis(samples.psi, F, samples.other)
+    columns = np.empty((len(w), c + 3))
+    np.multiply(samples.signals, w[:, None], out=columns[:, :c])
+    columns[:, c], columns[:, c + 1], columns[:, c + 2] = w, basis[F] * w, basis[2 * F] * w
+    products = basis @ columns
+    sums.moment += products[:, :c]
+    constant, cosine, sine = products[: 2 * F + 1, c:].T
+    sums.turning[: F + 1] += constant[: F + 1]
+    sums.turning[1 : F + 1] += 1j * constant[F + 1 :]
+    sums.turning[F + 1 :] += cosine[1 : F + 1] - sine[F + 1 :] + 1j * (sine[1 : F + 1] + cosine[F + 1 :])
+    if samples.other.size:
+        sums.border += (basis[2 * F + 1 :] * w) @ basis.T
     q = blackman_taper(samples.fraction) * samples.speed
     sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), samples.signals * q[:, None])
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]

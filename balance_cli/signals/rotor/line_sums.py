@@ -120,3 +120,24 @@ def unit_powers(angle: Array, highest: int) -> ComplexArray:
     for k in range(2, highest + 1):
         np.multiply(powers[k // 2], powers[k - k // 2], out=powers[k])
     return powers
+
+
+def trigonometric_basis(angle: Array, highest: int, further: int = 0) -> Array:
+    """Return cos(0 .. F angle), sin(1 .. F angle) (2 F + 1 + `further`, m) for F = `highest`, as `unit_powers` does.
+
+    The last `further` rows are left to the caller.
+    """
+    basis = np.empty((2 * highest + 1 + further, len(angle)))
+    basis[0] = 1.0
+    cosine, sine = basis[: highest + 1], basis[highest : 2 * highest + 1]  # sine[k] from k = 1 on
+    if highest:
+        np.cos(angle, out=cosine[1])
+        np.sin(angle, out=sine[1])
+    product = np.empty(len(angle))
+    for k in range(2, highest + 1):
+        a, b = k // 2, k - k // 2
+        np.multiply(cosine[a], cosine[b], out=cosine[k])
+        cosine[k] -= np.multiply(sine[a], sine[b], out=product)
+        np.multiply(sine[a], cosine[b], out=sine[k])
+        sine[k] += np.multiply(cosine[a], sine[b], out=product)
+    return basis

@@ -11,6 +11,7 @@ from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
+from balance_cli.signals.amplitude_spectrum import normalize_channels
 from balance_cli.signals.rotor.spectral_floor import spectral_floor
 
 Array = NDArray[np.float64]
@@ -147,11 +148,12 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
         return np.zeros(0), np.zeros(0), 1.0
     values = read_channels(run, run.channel_names, first, last)
     if not np.isfinite(values).all():
-        values = np.nan_to_num(values)
-    windowed = np.ascontiguousarray((values - values.mean(axis=0)).T) * np.hanning(samples)
+        values = np.where(np.isfinite(values), values, 0.0)
+    windowed, _ = normalize_channels(values)
+    windowed *= np.hanning(samples).astype(np.float32)
     spectrum = rfft(windowed, axis=1, overwrite_x=True)
     power = spectrum.real**2 + spectrum.imag**2
-    relative = np.max(power / np.maximum(spectral_floor(power), np.finfo(float).tiny), axis=0)
+    relative = np.max(power / np.maximum(spectral_floor(power), np.finfo(np.float32).tiny), axis=0)
     relative[:3] = 0.0
     peak = (relative == maximum_filter1d(relative, 7)) & (relative > LINE_TO_FLOOR)
     index = np.flatnonzero(peak)

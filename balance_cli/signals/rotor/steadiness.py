@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.line_sums import unit_powers
+from balance_cli.signals.rotor.line_sums import trigonometric_basis
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -77,8 +77,7 @@ def windowed_amplitudes(
     times = azimuth.time_of(edges)
     samples = np.ceil(times * run.sample_rate).astype(int)
     time = np.clip(np.arange(samples[0], samples[-1]) / run.sample_rate, azimuth.first, azimuth.last)
-    powers = unit_powers(azimuth.psi(time), max(n, 1))[: n + 1]
-    basis, signals = np.concatenate([powers.real, powers[1:].imag]), read_channels(run, names, samples[0], samples[-1])
+    basis, signals = trigonometric_basis(azimuth.psi(time), n), read_channels(run, names, samples[0], samples[-1])
     cuts = [slice(a, b) for a, b in pairwise((samples - samples[0]).tolist())]
     empty = np.zeros((0, n + 1, len(names)), complex)
     values = _amplitudes([basis[:, cut] for cut in cuts], [signals[cut] for cut in cuts], n) if cuts else empty

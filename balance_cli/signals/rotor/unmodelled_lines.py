@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
-from balance_cli.signals.amplitude_spectrum import fast_length
+from balance_cli.signals.amplitude_spectrum import fast_length, normalize_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.spectral_floor import block_size, spectral_floor
 
@@ -87,7 +87,7 @@ def unmodelled_lines(
         return ()
     turns = azimuth.psi(time) / (2 * np.pi)
     speed = float((turns[-1] - turns[0]) / (time[-1] - time[0]))
-    channels, scale = _normalize(values)
+    channels, scale = normalize_channels(values)
     per_turn = (len(turns) - 1) / (turns[-1] - turns[0])
     order, over_azimuth = _spectrum(_resample_evenly(turns, channels), per_turn)
     frequency, over_time = _spectrum(channels, run.sample_rate)
@@ -170,19 +170,6 @@ def _beside_harmonic(frequency: float, slowest: float, fastest: float, margin: f
     """Return whether some harmonic of the rotor passes within the margin [Hz] of a frequency [Hz]; so does the mean."""
     order = np.arange(0, int(frequency / slowest) + 2)
     return bool(np.any((order * slowest - margin < frequency) & (frequency < order * fastest + margin)))
-
-
-def _normalize(values: Array) -> tuple[Singles, Array]:
-    """Return the channels (c, m) without their means, in single precision, over their largest values (c,).
-
-    Its rounding is far below the side lobes of the window.
-    """
-    deviation = np.array(values.T, order="C")
-    deviation -= deviation.mean(axis=1, keepdims=True)
-    scale = np.maximum(np.maximum(deviation.max(axis=1), -deviation.min(axis=1)), np.finfo(float).tiny)
-    channels = np.empty(deviation.shape, np.float32)
-    np.multiply(deviation, 1.0 / scale[:, None], out=channels, casting="same_kind")
-    return channels, scale
 
 
 def _resample_evenly(turns: Array, channels: Singles) -> Singles:
