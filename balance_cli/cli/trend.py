@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,13 +12,14 @@ import click
 
 from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.load_text import blade_harmonic
-from balance_cli.cli.options import InputFile, OutputFile
+from balance_cli.cli.options import InputFile, InputFolder, OutputFile
 from balance_cli.io.errors import UserError
-from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.io.formats import LOADS_FORMAT, MODEL_FORMAT
 from balance_cli.io.spreadsheet import text_cell
 
 if TYPE_CHECKING:
     from balance_cli.cli.trend_text import TrendResult
+    from balance_cli.reduction.operational_modes import OperationalModes
     from balance_cli.steps.trend_points import TrendPoint
 
 
@@ -32,19 +34,37 @@ if TYPE_CHECKING:
     help="What loads are plotted against: `speed`, or a numeric attribute of the run files.",
 )
 @click.option("-o", "--output", type=OutputFile(), metavar="TABLE", help="Table of the points, .csv.")
-def command(session: Session, loads: tuple[Path, ...], attribute: str, output: Path | None) -> None:
+@click.option(
+    "--model", type=InputFile(), metavar="MODEL", help="Follow the eigenfrequencies near those of this model."
+)
+@click.option("--records", type=InputFolder(), metavar="DIR", help="Folder of the run files, for --model.")
+def command(
+    session: Session,
+    loads: tuple[Path, ...],
+    attribute: str,
+    output: Path | None,
+    model: Path | None,
+    records: Path | None,
+) -> None:
     """Follow the loads of many runs over an attribute and over the campaign.
 
     LOADS are .h5 files of `reduce`, from one day or many. Shown are the slopes of mean and blade harmonic over the
     attribute; runs that differ from their repeats, which are runs of the same attributes; and whether the residual test
     of the redundant channels worsens in the course of the runs, as it does when the model no longer holds.
+
+    With --model and --records the eigenfrequencies are followed, too, as far as turbulence shows them between the
+    rotor harmonics of each run: they tell which mode a changed stiffness or mass has moved.
     """
     from balance_cli.cli.trend_text import find_trends, trend_summary, trend_text
 
     if output is not None and output.suffix != ".csv":
         raise UserError("the table is written as .csv", str(output), remedy="End its name with .csv")
+    if (model is None) != (records is None):
+        missing = "--records" if records is None else "--model"
+        raise UserError("eigenfrequencies need the model and the run files", missing, remedy="Give both or none")
     points = _points(session, loads)
-    result = find_trends(points, attribute)
+    modes = None if model is None or records is None else _modes_of_runs(session, points, model, records)
+    result = find_trends(points, attribute, modes)
     if output is not None:
         session.write_text(output, _table(result))
     session.finish(trend_summary(result), trend_text(result))
@@ -69,6 +89,43 @@ def _points(session: Session, paths: tuple[Path, ...]) -> list[TrendPoint]:
         remedy = "Reduce them with the same harmonics"
         raise UserError("the loads have different blade harmonics", "LOADS...", remedy=remedy)
     return points
+
+
+def _modes_of_runs(
+    session: Session, points: Sequence[TrendPoint], model: Path, folder: Path
+) -> dict[str, OperationalModes]:
+    """Read the records of the runs, and return the eigenfrequencies of each; a warning for those without."""
+    from balance_cli.campaign.recording.run_file import open_matching_run, run_header
+    from balance_cli.estimation.identified_model import IdentifiedModel
+    from balance_cli.reduction.model_sources import model_source
+    from balance_cli.steps.mode_trend import run_modes
+
+    content: IdentifiedModel = session.artefact(model, {MODEL_FORMAT: IdentifiedModel}, "model").content
+    source, geometry = model_source(content), content.geometry
+    if source.system is None:
+        fault = "has no equations of motion, whose modes could be followed"
+        raise UserError(fault, str(model), remedy="Give a model of the physical form")
+    wanted = {point.run: point for point in points}
+    found: dict[str, OperationalModes] = {}
+    reasons: list[str] = []
+    paths = sorted(folder.glob("*.h5"))
+    for path in session.progress(paths, "records", len(paths)):
+        try:
+            point = wanted.get(run_header(path, geometry).name)
+        except UserError:
+            continue  # another file of the folder
+        try:
+            if point is not None:
+                found[point.run] = run_modes(open_matching_run(path, geometry, hold=True), point, geometry, source)
+        except UserError as error:
+            reasons.append(str(error))
+    if not found:
+        reason = f"First reason: {reasons[0]}" if reasons else "Give the folder of the runs that were reduced"
+        raise UserError("holds no usable record of these loads", str(folder), remedy=reason)
+    if len(found) < len(wanted):
+        first = f"; the first: {reasons[0]}" if reasons else ""
+        session.warn(f"{len(wanted) - len(found)} of {len(wanted)} runs have no usable record in {folder}{first}")
+    return found
 
 
 def _table(result: TrendResult) -> str:

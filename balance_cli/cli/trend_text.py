@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.operational_modes import OperationalModes
+from balance_cli.steps.mode_trend import ModeTrend, mode_trends
+from balance_cli.steps.rank_trend import FEWEST_DRIFT_RUNS
 from balance_cli.steps.trend import (
-    FEWEST_DRIFT_RUNS,
     FEWEST_REPEATS,
     SIGNIFICANCE,
     LoadTrend,
@@ -33,7 +35,10 @@ MOST_OUTLIERS = 20
 
 @dataclass(frozen=True)
 class TrendResult:
-    """The points, their places in the campaign and attribute values, and what was found."""
+    """The points, their places in the campaign and attribute values, and what was found.
+
+    `modes` is None where eigenfrequencies were not asked for.
+    """
 
     points: Sequence[TrendPoint]
     attribute: str
@@ -45,6 +50,8 @@ class TrendResult:
     groups: list[list[int]]
     outliers: tuple[Outlier, ...]
     drift: RedundancyDrift | None
+    run_modes: Mapping[str, OperationalModes] = field(default_factory=dict)
+    modes: tuple[ModeTrend, ...] | None = None
 
     @property
     def order(self) -> list[int]:
@@ -57,8 +64,13 @@ class TrendResult:
         return [group for group in self.groups if len(group) >= FEWEST_REPEATS]
 
 
-def find_trends(points: Sequence[TrendPoint], attribute: str) -> TrendResult:
-    """Return all trends. Raises UserError for an attribute that no run has, and for too few or mixed runs."""
+def find_trends(
+    points: Sequence[TrendPoint], attribute: str, run_modes: Mapping[str, OperationalModes] | None = None
+) -> TrendResult:
+    """Return all trends. Raises UserError for an attribute that no run has, and for too few or mixed runs.
+
+    `run_modes`: the eigenfrequencies of the runs by name, where they are followed.
+    """
     require_runs(points)
     values = attribute_values(points, attribute)
     place, unit = sequence(points)
@@ -75,6 +87,8 @@ def find_trends(points: Sequence[TrendPoint], attribute: str) -> TrendResult:
         groups,
         find_outliers(points, groups),
         redundancy_drift(redundancy, place, values),
+        run_modes or {},
+        None if run_modes is None else mode_trends(points, run_modes, place, values),
     )
 
 
@@ -89,6 +103,9 @@ def trend_summary(result: TrendResult) -> dict[str, Any]:
         "repeats": [[result.points[index].run for index in group] for group in result.repeated],
         "outliers": [asdict(item) for item in result.outliers],
         "redundancy_drift": None if drift is None else asdict(drift) | {"is_significant": drift.is_significant},
+        "modes": None
+        if result.modes is None
+        else [asdict(mode) | {"is_significant": mode.is_significant} for mode in result.modes],
         "runs": {
             point.run: {
                 "file": point.file,
@@ -96,9 +113,14 @@ def trend_summary(result: TrendResult) -> dict[str, Any]:
                 "value": result.values[index],
                 "redundancy": result.redundancy[index],
             }
+            | _modes_of_run(result.run_modes.get(point.run))
             for index, point in zip(result.order, points, strict=True)
         },
     }
+
+
+def _modes_of_run(modes: OperationalModes | None) -> dict[str, Any]:
+    return {} if modes is None else {"frequency_hz": modes.frequency, "sigma_frequency_hz": modes.sigma}
 
 
 def trend_text(result: TrendResult) -> Iterator[str]:
@@ -112,6 +134,8 @@ def trend_text(result: TrendResult) -> Iterator[str]:
         yield f"   {name:10}{trend.quantity:>10}{numbers}"
     yield from _outlier_text(result)
     yield from _drift_text(result)
+    if result.modes is not None:
+        yield from _mode_text(result, result.modes)
 
 
 def _span(values: Array) -> str:
@@ -153,3 +177,26 @@ def _drift_text(result: TrendResult) -> Iterator[str]:
         yield f"   it grows by a factor of {drift.factor:.3g}: the model wears out; identify it anew"
     else:
         yield f"   it falls by a factor of {1.0 / drift.factor:.3g}"
+
+
+def _mode_text(result: TrendResult, modes: Sequence[ModeTrend]) -> Iterator[str]:
+    """Yield the eigenfrequencies that show between the harmonics, and which of them drift."""
+    shown = [mode for mode in modes if mode.runs]
+    if not shown:
+        yield f"eigenfrequencies of {len(result.run_modes)} runs: none shows between the harmonics; not testable"
+        return
+    yield f"eigenfrequencies of {len(result.run_modes)} runs, departure in % from those of the model at the same speed"
+    head = ("mode", "model Hz", "runs", "mean", "sigma", "first third", "last third", "p-value")
+    yield "   {:>4}{:>10}{:>7}{:>9}{:>8}{:>13}{:>12}{:>10}".format(*head)
+    for mode in shown:
+        percent = [100.0 * value for value in (mode.departure, mode.sigma_departure, mode.first, mode.last)]
+        numbers = "{:9.2f}{:8.2f}{:13.2f}{:12.2f}".format(*percent)
+        yield f"   {mode.mode:4d}{mode.frequency_hz:10.2f}{mode.runs:7d}{numbers}{mode.bonferroni_p_value:10.2g}"
+    drifting = [mode for mode in shown if mode.is_significant]
+    for mode in drifting:
+        way = "rises" if mode.change > 0 else "falls"
+        change = f"by {100 * abs(mode.last - mode.first):.2g} % from the first third to the last"
+        yield f"   mode {mode.mode} {way} {change}: stiffness or mass has changed; identify the model anew"
+    if not drifting:
+        tested = any(not math.isnan(mode.bonferroni_p_value) for mode in shown)
+        yield "   no significant drift" if tested else f"   fewer than {FEWEST_DRIFT_RUNS} runs: drift is not testable"

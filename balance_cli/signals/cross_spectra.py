@@ -52,7 +52,7 @@ def cross_spectra(
 
     Raises UserError where no part is as long as a window, or no bin is selected.
     """
-    window = _blackman_harris(length)
+    window = blackman_harris(length)
     frequency = np.asarray(np.fft.rfftfreq(length, step), float)
     inner = (np.arange(len(frequency)) >= MAIN_LOBE) & (np.arange(len(frequency)) < len(frequency) - MAIN_LOBE)
     total: ComplexArray | None = None
@@ -90,7 +90,7 @@ def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, len
     As `noise_variance` of `cross_spectra` over the parts (n, c), but without the products of different channels. Raises
     UserError where no part is as long as a window, or no bin is above.
     """
-    window = _blackman_harris(length)
+    window = blackman_harris(length)
     frequency = np.fft.rfftfreq(length, step)
     bins = np.flatnonzero(frequency[: len(frequency) - MAIN_LOBE] > lowest)
     bins = bins[bins >= MAIN_LOBE]
@@ -128,7 +128,7 @@ def _median_of_mean(averages: float) -> float:
     return float(gammaincinv(averages, 0.5) / averages)
 
 
-def _blackman_harris(length: int) -> Array:
+def blackman_harris(length: int) -> Array:
     """Return the periodic Blackman-Harris window of so many samples."""
     angle = 2.0 * np.pi / length * np.arange(length)
     return np.asarray(np.cos(np.multiply.outer(angle, np.arange(4))) @ np.array(BLACKMAN_HARRIS))

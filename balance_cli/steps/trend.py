@@ -4,9 +4,7 @@
   about the line, which holds what the other conditions do.
 - Repeats are runs of the same conditions. The one that differs most from the mean of the others is tested with
   Student's t (Grubbs, Technometrics 11, 1969, 1), then the next, corrected for the number of comparisons.
-- Whether the residual test of the redundant channels worsens in the course of the runs is asked of ranks (Mann,
-  Econometrica 13, 1945, 245; Kendall), so that neither its distribution nor the form of the drift matters; its rate
-  is the median of the slopes of all pairs (Theil, Sen, J. Am. Stat. Assoc. 63, 1968, 1379).
+- Whether the residual test of the redundant channels worsens in the course of the runs is asked of ranks.
 """
 
 from __future__ import annotations
@@ -16,10 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtr
+from scipy.special import stdtr
 
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.result import RunLoads
+from balance_cli.steps.rank_trend import rank_trend
 from balance_cli.steps.trend_points import TrendPoint
 
 Array = NDArray[np.float64]
@@ -28,10 +27,6 @@ SIGNIFICANCE = 0.01
 """p-value, corrected for the number of comparisons, below which a run is an outlier or a drift is stated."""
 FEWEST_REPEATS = 4
 """Runs of one condition from which an outlier can be told: Student's t of three has one degree of freedom."""
-FEWEST_DRIFT_RUNS = 8
-"""Runs in sequence from which a drift of ranks can have a p-value far below SIGNIFICANCE."""
-MOST_PAIRS_RUNS = 2000
-"""Runs of which all pairs are compared; of more, every k-th is taken."""
 
 
 @dataclass(frozen=True)
@@ -186,41 +181,12 @@ def redundancy_drift(redundancy: Array, place: Array, attribute: Array) -> Redun
 
     What a straight line over the attribute (n,) explains of its logarithm is taken out for `p_value_given`.
     """
-    known = np.isfinite(redundancy) & (redundancy > 0)
-    order = np.flatnonzero(known)[np.argsort(place[known], kind="stable")]
-    if len(order) < FEWEST_DRIFT_RUNS:
+    level = np.log(np.where(redundancy > 0, redundancy, np.nan))
+    trend = rank_trend(level, place, attribute)
+    if trend is None:
         return None
-    order = order[:: -(-len(order) // MOST_PAIRS_RUNS)]
-    level, x, given = np.log(redundancy[order]), place[order], attribute[order]
-    tau, p_value, rate = _mann_kendall(x, level)
-    rest = level
-    if np.isfinite(given).all() and np.ptp(given) > 0:
-        basis = np.column_stack([np.ones(len(given)), given - given.mean()])
-        rest = level - basis @ np.linalg.lstsq(basis, level, rcond=None)[0]
-    third = len(order) // 3
-    first, last = (float(np.exp(np.median(part))) for part in (level[:third], level[-third:]))
-    factor = float(np.exp(rate * np.ptp(x)))
-    return RedundancyDrift(len(order), first, last, tau, factor, p_value, _mann_kendall(x, rest)[1])
-
-
-def _mann_kendall(x: Array, y: Array) -> tuple[float, float, float]:
-    """Return Kendall's tau of y against x, its two-sided p-value without a trend, and the median slope of all pairs."""
-    i, j = np.triu_indices(len(x), 1)
-    run, rise = x[j] - x[i], y[j] - y[i]
-    concordance = np.sign(run) * np.sign(rise)
-    score, n = float(concordance.sum()), len(x)
-    ties = [_tie_term(np.unique(values, return_counts=True)[1]) for values in (x, y)]
-    whole = n * (n - 1) * (2 * n + 5)
-    variance = (whole - ties[0] - ties[1]) / 18.0
-    if variance <= 0 or not np.any(run != 0):
-        return 0.0, 1.0, 0.0
-    z = max(abs(score) - 1.0, 0.0) / np.sqrt(variance)  # continuity: the score changes in steps of two
-    slope = float(np.median(rise[run != 0] / run[run != 0]))
-    return score / len(run), float(2.0 * ndtr(-z)), slope
-
-
-def _tie_term(counts: NDArray[np.int64]) -> float:
-    return float(np.sum(counts * (counts - 1) * (2 * counts + 5)))
+    first, last, factor = (float(np.exp(value)) for value in (trend.first, trend.last, trend.change))
+    return RedundancyDrift(trend.runs, first, last, trend.tau, factor, trend.p_value, trend.p_value_given)
 
 
 def require_runs(points: Sequence[TrendPoint]) -> None:
