@@ -57,7 +57,7 @@ frequency to choose from (chi-square, three degrees of freedom). A drift is a ma
 LARGEST_SIGMA = 0.01
 """Relative standard deviation of a frequency beyond which the mode does not show."""
 INNER_SHARE = 0.85
-"""Share of the band within which a frequency is believed: at its edge the flank of another mode looks like one."""
+"""Share of the band within which a frequency is accepted: at its edge the flank of another mode looks like one."""
 GRID, ITERATIONS, CONVERGED = 61, 40, 1e-6
 _WINDOW = blackman_harris(512)
 TAPER_FACTOR = float(512 * np.sum(_WINDOW**4) / np.sum(_WINDOW**2) ** 2)

@@ -162,7 +162,7 @@ def estimate_harmonics(
         time = np.clip(index / run.sample_rate, azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
-        moment = _regression_basis(psi, fitted_count, other.basis(time)) @ (errors * weight).T
+        moment = trigonometric_basis(psi, fitted_count, other.basis(time)) @ (errors * weight).T
         return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
 
     span = _sample_span(run, start, end)
@@ -242,20 +242,13 @@ def _empty_sums(highest_line: int, fitted_count: int, other: int, count: int) ->
     return _NormalEquations(turning, border, np.zeros((columns, count)), LineSums(highest_line, count), np.zeros(4))
 
 
-def _regression_basis(psi: Array, fitted_count: int, other: Array) -> Array:
-    """Basis of the regression: cos(0 .. F psi), sin(1 .. F psi), and `other` (m, e)."""
-    basis = trigonometric_basis(psi, fitted_count, other.shape[1])
-    basis[2 * fitted_count + 1 :] = other.T
-    return basis
-
-
 def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_count: int) -> None:
     """Add a block to the sums.
 
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
     w, F, c = samples.weight, fitted_count, samples.signals.shape[1]
-    basis = _regression_basis(samples.psi, F, samples.other)
+    basis = trigonometric_basis(samples.psi, F, samples.other)
     columns = np.empty((len(w), c + 3))
     np.multiply(samples.signals, w[:, None], out=columns[:, :c])
     columns[:, c], columns[:, c + 1], columns[:, c + 2] = w, basis[F] * w, basis[2 * F] * w
@@ -265,8 +258,7 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     sums.turning[: F + 1] += constant[: F + 1]
     sums.turning[1 : F + 1] += 1j * constant[F + 1 :]
     sums.turning[F + 1 :] += cosine[1 : F + 1] - sine[F + 1 :] + 1j * (sine[1 : F + 1] + cosine[F + 1 :])
-    if samples.other.size:
-        sums.border += (basis[2 * F + 1 :] * w) @ basis.T
+    sums.border += (basis[2 * F + 1 :] * w) @ basis.T
     q = blackman_taper(samples.fraction) * samples.speed
     sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), samples.signals * q[:, None])
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]

@@ -122,13 +122,16 @@ def unit_powers(angle: Array, highest: int) -> ComplexArray:
     return powers
 
 
-def trigonometric_basis(angle: Array, highest: int, further: int = 0) -> Array:
-    """Return cos(0 .. F angle), sin(1 .. F angle) (2 F + 1 + `further`, m) for F = `highest`, as `unit_powers` does.
+def trigonometric_basis(angle: Array, highest: int, further: Array | None = None) -> Array:
+    """Return cos(0 .. F angle), sin(1 .. F angle) for F = `highest`, as `unit_powers` does, and `further` (m, e).
 
-    The last `further` rows are left to the caller.
+    The rows (2 F + 1 + e, m) are the columns of a regression.
     """
-    basis = np.empty((2 * highest + 1 + further, len(angle)))
+    count = 0 if further is None else further.shape[1]
+    basis = np.empty((2 * highest + 1 + count, len(angle)))
     basis[0] = 1.0
+    if further is not None:
+        basis[2 * highest + 1 :] = further.T
     cosine, sine = basis[: highest + 1], basis[highest : 2 * highest + 1]  # sine[k] from k = 1 on
     if highest:
         np.cos(angle, out=cosine[1])
