@@ -27,7 +27,8 @@ FIRST_ROW = "first"
     "--zero",
     "zero",
     metavar="first|FILE",
-    help="Reading of the unloaded balance: `first`, the first row of each run, or a table or run of unloaded rows. "
+    help="Reading of the unloaded balance: `first`, the first row of each run (for the rows of its other load series "
+    "sigma contains the scatter of the zeros of the calibration), or a table or run of unloaded rows. "
     "Default: rows of the kind `tare`; without them the mean zero of the calibration, with the flag `no zero`.",
 )
 @click.option(

@@ -31,7 +31,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
 from balance_cli.reduction.mean_loads import determines_loads, mean_load_redundancy
 from balance_cli.signals import distributions as stats
-from balance_cli.steps.point_zeros import CALIBRATION_ZERO, PointReadings, ZeroReading, change_from_zero
+from balance_cli.steps.point_zeros import CALIBRATION_ZERO, PointReadings, SubtractedZero, ZeroReading, change_from_zero
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -93,10 +93,10 @@ def point_loads(
     Raises UserError where the channels of the readings do not determine the loads.
     """
     model = _usable_model(readings, calibration)
-    change, zero_share, zero_text = change_from_zero(readings, model.model, model.rows, model.level, zero)
+    change, subtracted = change_from_zero(readings, model.model, model.rows, model.level, zero)
     loads, converged, method = _solve(model, change, non_iterative)
     safe = np.where(converged[:, None], loads, 0.0)
-    noise = _reading_covariances(readings, model, zero_share)
+    noise = _reading_covariances(readings, model, subtracted)
     covariance = np.stack(
         [model.model.load_covariance(row, own, model.rows)[0] for row, own in zip(safe, noise, strict=True)]
     )
@@ -115,9 +115,11 @@ def point_loads(
         loads=loads - model.level,
         covariance=covariance,
         interval=np.asarray(quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
-        flags=_flags(model, loads, covariance, (redundancy > limit, zero_text == CALIBRATION_ZERO), untested_names),
+        flags=_flags(
+            model, loads, covariance, (redundancy > limit, subtracted.words == CALIBRATION_ZERO), untested_names
+        ),
         redundancy=redundancy,
-        zero=zero_text,
+        zero=subtracted.words,
         method=method,
         left_out=tuple(name for name in model.model.channel_names if name not in readings.channel_names),
         applied=readings.applied,
@@ -166,9 +168,12 @@ def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[f
 
 
 def _zero_scatter(model: CalibrationModel) -> Array:
-    """Covariance (c, c) of the zeros of the load series about their mean: what an unknown zero may differ by."""
-    c = len(model.channel_names)
-    return np.atleast_2d(np.cov(model.zeros.T)) if len(model.zeros) > 1 else np.zeros((c, c))
+    """Covariance (c, c) of the zeros of the load series about their mean: what an unknown zero may differ by.
+
+    Widened for the number of zeros that tell it.
+    """
+    c, s = len(model.channel_names), len(model.zeros)
+    return np.atleast_2d(np.cov(model.zeros.T)) * student_widening(float(s - 1)) if s > 1 else np.zeros((c, c))
 
 
 # ---- loads -----------------------------------------------------------------------------------------------------------
@@ -191,17 +196,10 @@ def _solve(usable: _Model, change: Array, non_iterative: bool) -> tuple[Array, N
     return loads, converged, "iterative" if model.is_nonlinear else "linear"
 
 
-def _reading_covariance(usable: _Model, zero_share: float) -> Array:
-    """Covariance (c, c) of a reading less its zero."""
-    noise = usable.noise * (1.0 + zero_share)
-    if zero_share == 0.0:
-        noise = noise + _zero_scatter(usable.model)[np.ix_(usable.rows, usable.rows)]
-    return np.asarray(noise)
-
-
-def _reading_covariances(readings: PointReadings, usable: _Model, zero_share: Array) -> Array:
+def _reading_covariances(readings: PointReadings, usable: _Model, subtracted: SubtractedZero) -> Array:
     """Covariance (n, c, c) of each reading less its zero, with that of what was taken off it before."""
-    noise = np.stack([_reading_covariance(usable, share) for share in zero_share])
+    scatter = _zero_scatter(usable.model)[np.ix_(usable.rows, usable.rows)]
+    noise = (1.0 + subtracted.variance)[:, None, None] * usable.noise + subtracted.scatter[:, None, None] * scatter
     if readings.covariance is None:
         return noise
     at = [readings.channel_names.index(usable.model.channel_names[i]) for i in usable.rows]

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from balance_cli.calibration.load_series import find_load_series
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.load_table import LoadTable
 from balance_cli.campaign.recording.run import Run, pick_channels
@@ -14,6 +16,9 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.steps.point_zeros import PointReadings, ZeroReading
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 TARE = "tare"
 
@@ -32,16 +37,27 @@ def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bo
         is_zero = np.isin(np.arange(n), np.unique(group, return_index=True)[1])
     else:
         is_zero = np.array([kind == TARE for kind in table.labels.get("point", ("",) * n)])
-    loads = table.hub_loads
+    loads = None if table.hub_loads is None else load_components(calibration.geometry).carried(table.hub_loads)
     return PointReadings(
         run=table.path.stem,
         channel_names=table.channel_names,
         channels=table.channels,
         zero_group=group,
         is_zero=is_zero,
-        applied=None if loads is None else load_components(calibration.geometry).carried(loads),
+        applied=loads,
         temperature=table.temperature,
+        load_series=_load_series(runs, series, loads) if first_is_zero else None,
     )
+
+
+def _load_series(runs: tuple[str, ...], series: tuple[str, ...], loads: Array | None) -> Index | None:
+    """Number (n,) of the load series of each row: as stated or, for known loads (n, k), as these tell; else None."""
+    run = np.unique(runs, return_inverse=True)[1].astype(np.intp)
+    if all(series):
+        return np.unique([f"{name} {label}" for name, label in zip(run, series, strict=True)], return_inverse=True)[1]
+    if loads is None or not np.any(loads):
+        return None
+    return find_load_series(loads / np.maximum(np.max(np.abs(loads), axis=0), np.finfo(float).tiny), run)
 
 
 def row_runs(table: LoadTable) -> tuple[str, ...]:

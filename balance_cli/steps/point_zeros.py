@@ -23,6 +23,7 @@ class PointReadings:
     """Rows of one run to be reduced: `channels` (n, c) of `channel_names`, in the base units of the geometry.
 
     `zero_group` (n,): number of the group of rows that share a zero; `is_zero` (n,): rows of the unloaded balance.
+    `load_series` (n,): number of the load series of each row, where a group may have several; None where it has one.
     `applied` (n, k): loads that are known, of the components of the calibration; None where the table has none.
     `temperature` (n,) [degC]; None where it is not known. `covariance` (n, c, c): of what was taken off the readings.
     """
@@ -35,6 +36,20 @@ class PointReadings:
     applied: Array | None = None
     temperature: Array | None = None
     covariance: Array | None = None
+    load_series: Index | None = None
+
+
+@dataclass(frozen=True)
+class SubtractedZero:
+    """What was subtracted from each row: `variance` (n,) of its noise, in units of that of a reading, and `words`.
+
+    `scatter` (n,): how many times the variance of the zeros between load series comes beside it, as it is the zero of
+    another series: 1 for a mean of many.
+    """
+
+    variance: Array
+    scatter: Array
+    words: str
 
 
 @dataclass(frozen=True)
@@ -49,31 +64,45 @@ class ZeroReading:
 
 def change_from_zero(
     readings: PointReadings, model: CalibrationModel, rows: Index, level: Array, zero: ZeroReading | None
-) -> tuple[Array, Array, str]:
-    """Readings (n, c) less the zero, variance (n,) of the zero in units of a reading's, and the zero in words.
+) -> tuple[Array, SubtractedZero]:
+    """Readings (n, c) less the zero, and what that zero is.
 
     `rows`: the channels of the model that the readings have; `level` (k,): loads of the weight of the metric part.
     Raises UserError where the zero lacks a channel, or there is none.
     """
     names = [model.channel_names[i] for i in rows]
     values = readings.channels[:, [readings.channel_names.index(name) for name in names]]
+    n = len(values)
     if readings.is_zero.any():
         unloaded = values - _tare_loads_reading(readings, model, level)[:, rows]
         zeros, counts = _zeros_by_group(unloaded, readings.zero_group, readings.is_zero)
-        return values - zeros, 1.0 / counts, "rows of the unloaded balance"
+        zero_of = SubtractedZero(1.0 / counts, _scatter_share(readings), "rows of the unloaded balance")
+        return values - zeros, zero_of
     if zero is not None:
         missing = [name for name in names if name not in zero.channel_names]
         if missing:
             fault = f"the zero has no channel {', '.join(missing)}"
             raise UserError(fault, "--zero", remedy="Give a zero with all channels of the table")
         mean = zero.mean[[zero.channel_names.index(name) for name in names]]
-        return values - mean, np.full(len(values), 1.0 / zero.rows), "zero record"
+        return values - mean, SubtractedZero(np.full(n, 1.0 / zero.rows), np.zeros(n), "zero record")
     if model.load_series == (WITHOUT_ZEROS,):
         fault = "the calibration is a matrix without zeros, and no row is marked as that of the unloaded balance"
         raise UserError(
             fault, readings.run, "--zero", "Give `--zero first`, a table of unloaded rows, or a column `point`"
         )
-    return values - model.zeros.mean(axis=0)[rows], np.zeros(len(values)), CALIBRATION_ZERO
+    return values - model.zeros.mean(axis=0)[rows], SubtractedZero(np.zeros(n), np.ones(n), CALIBRATION_ZERO)
+
+
+def _scatter_share(readings: PointReadings) -> Array:
+    """Variance (n,) of the zero of a row's series less that subtracted, over that of the zeros between load series."""
+    series = readings.zero_group if readings.load_series is None else readings.load_series
+    share = np.zeros(len(series))
+    for number in np.unique(readings.zero_group).tolist():
+        members = readings.zero_group == number
+        own = readings.is_zero & members
+        told = np.unique(series[own if own.any() else readings.is_zero])
+        share[members & ~np.isin(series, told)] = 1.0 + 1.0 / len(told)
+    return share
 
 
 def _tare_loads_reading(readings: PointReadings, model: CalibrationModel, level: Array) -> Array:

@@ -104,6 +104,28 @@ def test_the_zero_may_be_the_first_row_or_a_file_or_unknown(calibrated: Path) ->
     assert np.abs(without["Fz [N]"].to_numpy(float) - loads[:, 1]).min() > 20.0
 
 
+def test_sigma_holds_where_the_first_row_is_no_zero_of_the_other_load_series(tmp_path: Path) -> None:
+    """Zeros that shift between load series: those of the other series may differ by what the calibration's scatter."""
+    (tmp_path / "g.yaml").write_text(GEOMETRY)
+    rng = np.random.default_rng(11)
+    labels = np.repeat(np.arange(6), 9)
+    for path in ("cal.csv", "again.csv"):
+        zero = 2e-5 * rng.normal(size=(6, 4))[labels]
+        table = pd.read_csv(write_table(tmp_path / path, schedule(), rng, zero=zero))
+        table.insert(0, "series", labels)
+        table.to_csv(tmp_path / path, index=False)
+    words = ("calibrate", "-g", tmp_path / "g.yaml", "--terms", "linear", "-o", tmp_path / "cal.h5")
+    call(*words, tmp_path / "cal.csv")
+    for stated in (True, False):
+        table = pd.read_csv(tmp_path / "again.csv")
+        (table if stated else table.drop(columns="series")).to_csv(tmp_path / "t.csv", index=False)
+        found = apply(tmp_path, tmp_path / "t.csv", "--zero", "first")
+        ratios = np.abs(found.filter(like="error_").to_numpy(float) / found.filter(like="sigma_").to_numpy(float))
+        # The one zero of the first series is in all of these errors.
+        assert np.mean(ratios[9:]) < 2.0
+        assert found["sigma_Fz [N]"][40] > 5 * found["sigma_Fz [N]"][4]
+
+
 def test_rows_outside_the_calibration_are_flagged_and_kept(calibrated: Path) -> None:
     loads = np.array([[0, 0, 0], [0, 1.5, 0], [0, 0.99, 0]]) * FULL
     found = apply(calibrated, write_table(calibrated / "c.csv", loads, np.random.default_rng(4)), "--zero", "first")
