@@ -15,6 +15,7 @@ from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
 from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
 from balance_cli.calibration.outliers import Outlier, ScreenedFit
+from balance_cli.calibration.own_products import own_product_notes
 from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
@@ -169,7 +170,8 @@ def _held_out_checks(
 
 def _screening_notes(points: CalibrationPoints, screened: ScreenedFit) -> tuple[str, ...]:
     alarms = unpredicted_series(points, screened.fit)
-    return (*screened.screening_notes, *alarms, *_runs_without_attitude(points))
+    own_products = own_product_notes(points, screened.fit)
+    return (*screened.screening_notes, *alarms, *own_products, *_runs_without_attitude(points))
 
 
 def _estimate_noise(

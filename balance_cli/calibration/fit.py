@@ -125,9 +125,11 @@ def fit_calibration_model(
     k = len(points.components)
     terms, unsupported = linear_terms(k), {}
     if not choice.is_linear:
-        applied = x if schedule is None else schedule[used]
-        candidates = choice.candidates(points.components)
-        support = find_supported_terms(candidates, applied, load_series, points.components, not choice.is_search)
+        applied = points.x if schedule is None else schedule
+        candidates, jointly = choice.candidates(points.components), not choice.is_search
+        support = find_supported_terms(
+            candidates, applied[used], load_series, points.components, jointly, applied[~used]
+        )
         terms, unsupported = support.terms, support.unsupported
     X, Y, w = term_values(terms, x), points.channels[used], points.weight[used]
     solve_least_squares(X[:, :k], Y, load_series, w)  # raises where the loads are collinear

@@ -50,11 +50,11 @@ class ReadingScore:
         # Rows that stand in the wrong place would decide by their own errors.
         parts = [np.flatnonzero(rows.segment == number) for number in np.unique(rows.segment)]
         regular = np.concatenate([part[~intruding_rows(rows.x[part])] for part in parts])
-        # A row with a wrong sign bends the fit of its whole load: clipping its own error is not enough. A tare point
-        # bends none, and the readings differ by its place.
+        # A row with a wrong sign, or a series with a wrong gain, bends the fit of its whole load: clipping its own
+        # errors is not enough. A tare point bends none, and the readings differ by its place.
         loaded = ~_at_tare(rows.x, rows.segment)[regular]
         fit = _best_robust_fit(rows.x[regular], rows.channels[regular], [series[regular] for series in readings])
-        self._rows = regular[~(fit.stands_out & loaded)]
+        self._rows = regular[~(fit.deviates & loaded)]
         self._x, self._channels = rows.x[self._rows], rows.channels[self._rows]
         # That of the reading that fits best: others would hide the errors by which they are to be judged.
         self._scale = np.min([self._robust_scale(series) for series in readings], axis=0)

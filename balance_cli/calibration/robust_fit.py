@@ -41,10 +41,14 @@ SCALE_FLOOR = 1e-9
 
 @dataclass(frozen=True)
 class RobustFit:
-    """Rows (m,) that stand out from a robust fit, and the robust standard deviation (c,) of each channel's errors."""
+    """Rows (m,) that stand out from a robust fit, and the robust standard deviation (c,) of each channel's errors.
+
+    `deviates` (m,): these, and all rows of load series of which too many are beyond chance to be outliers.
+    """
 
     stands_out: Mask
     scale: Array
+    deviates: Mask
 
 
 def fit_robustly(x: Array, channels: Array, block: Index) -> RobustFit:
@@ -53,20 +57,34 @@ def fit_robustly(x: Array, channels: Array, block: Index) -> RobustFit:
     Two fits are made, with and without curvature: a single row of the other sign would determine a curvature by itself.
     The scale is that with curvature.
     """
-    stands_out, scale = np.zeros(len(x), bool), np.zeros(channels.shape[1])
+    stands_out, deviates, scale = np.zeros(len(x), bool), np.zeros(len(x), bool), np.zeros(channels.shape[1])
     for columns in _column_sets(x, int(block.max()) + 1):
         ratio, scale = _robust_ratio(columns, channels, block)
-        stands_out |= _standing_out(ratio, block, channels.shape[1])
-    return RobustFit(stands_out, scale)
+        limit = float(CANDIDATE_LIMIT_FACTOR * stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / channels.size))
+        stands_out |= _standing_out(ratio, block, limit)
+        deviates |= _deviating_series(ratio, block, limit)
+    return RobustFit(stands_out, scale, stands_out | deviates)
 
 
-def _standing_out(ratio: Array, block: Index, channels: int) -> Mask:
-    """Rows (m,) whose ratio of error and scale is beyond chance, where these are few in their load series."""
-    limit = CANDIDATE_LIMIT_FACTOR * stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / (channels * len(ratio)))
+def _deviating_series(ratio: Array, block: Index, limit: float) -> Mask:
+    """Rows (m,) of the load series that have too many rows beyond a limit; none where these are too many rows."""
+    deviates = np.zeros(len(ratio), bool)
+    for name in np.unique(block):
+        rows = block == name
+        deviates |= rows & (np.count_nonzero((ratio > limit) & rows) > _most_outliers(rows))
+    return deviates if np.count_nonzero(deviates) <= MAX_CANDIDATE_SHARE * len(ratio) else np.zeros_like(deviates)
+
+
+def _most_outliers(rows: Mask) -> float:
+    return max(MIN_CANDIDATES, MAX_SERIES_SHARE * np.count_nonzero(rows))
+
+
+def _standing_out(ratio: Array, block: Index, limit: float) -> Mask:
+    """Rows (m,) whose ratio of error and scale is beyond a limit, where these are few in their load series."""
     stands_out = ratio > limit
     for name in np.unique(block):
         rows = block == name
-        if np.count_nonzero(stands_out & rows) > max(MIN_CANDIDATES, MAX_SERIES_SHARE * np.count_nonzero(rows)):
+        if np.count_nonzero(stands_out & rows) > _most_outliers(rows):
             stands_out[rows] = False
     most = int(max(MIN_CANDIDATES, MAX_CANDIDATE_SHARE * len(ratio)))
     largest = np.argsort(np.where(stands_out, -ratio, 0.0), kind="stable")[:most]

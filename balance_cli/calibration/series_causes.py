@@ -1,10 +1,10 @@
 """What seems to be wrong with a whole load series: its loads in another unit or of the other sign, exchanged, or in
-reverse order.
+reverse order, or two channels exchanged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -49,8 +49,20 @@ def series_cause(model: CalibrationModel, points: CalibrationPoints, rows: Mask)
 
     stated = left(loads)
     explained = [(left(other), words) for other, words in _other_loads(model, loads, change * sigma, sigma)]
+    explained += _exchanged_channels(points.channel_names, change * sigma, _centered(model.readings(loads)), sigma)
     least, words = min(explained, key=lambda pair: pair[0], default=(np.inf, ""))
     return words if least <= MAX_LEFT_SHARE * stated else None
+
+
+def _exchanged_channels(names: Sequence[str], change: Array, predicted: Array, sigma: Array) -> list[tuple[float, str]]:
+    """What is left of the readings with each two channels exchanged, and the mistake in words."""
+    found = []
+    for i, j in combinations(range(len(names)), 2):
+        restored = change.copy()
+        restored[:, [i, j]] = change[:, [j, i]]
+        left = float(np.linalg.norm((restored - predicted) / sigma))
+        found.append((left, f"its channels {names[i]} and {names[j]} seem to be exchanged"))
+    return found
 
 
 def _centered(readings: Array) -> Array:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.math_model import student_widening
+from balance_cli.calibration.own_products import explaining_products
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
 from balance_cli.calibration.series_causes import series_cause
@@ -101,7 +102,10 @@ def _worst_series(
     candidates = {
         name: suspect_channels
         for name, suspect_channels in by_linear_fit.items()
-        if name in unexplained and suspect_channels
+        if name in unexplained
+        and suspect_channels
+        # Not known by the others, as a product of its loads is only told by itself.
+        and (unexplained[name] or not _own_products(points, fit, (load_series == name) & used, suspect_channels))
     }
     if not candidates:
         return None
@@ -111,6 +115,12 @@ def _worst_series(
     limit = AMBIGUITY_FACTOR * misfit[worst]
     alternatives = tuple(words[name] for name in candidates if name != worst and misfit[name] < limit)
     return (load_series == worst) & used, [replace(suspect, alternatives=alternatives) for suspect in candidates[worst]]
+
+
+def _own_products(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], suspects: Sequence[SuspectLoadSeries]
+) -> dict[str, float]:
+    return explaining_products(points, fit, rows, [suspect.channel for suspect in suspects])
 
 
 def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:

@@ -30,12 +30,18 @@ class TermSupport:
 
 
 def find_supported_terms(
-    terms: Sequence[Term], x: Array, block: Index, loads: Sequence[str], jointly: bool = False
+    terms: Sequence[Term],
+    x: Array,
+    block: Index,
+    loads: Sequence[str],
+    jointly: bool = False,
+    excluded: Array | None = None,
 ) -> TermSupport:
     """Find the terms that loads x (m, n) support, in units of the calibrated range, with a zero for each block (m,).
 
     A term is not supported where the zeros and the loads themselves explain it, or where it is collinear with an
-    earlier term in this schedule; `jointly`, where the earlier terms together explain it.
+    earlier term in this schedule; `jointly`, where the earlier terms together explain it. `excluded` (q, n): loads of
+    rows that are not fitted, which the reasons name.
     """
     basis = _orthonormal_basis(subtract_block_means(term_values(linear_terms(x.shape[1]), x), block))
     values = term_values(terms, x)
@@ -52,7 +58,9 @@ def find_supported_terms(
         if not is_linear[number]:
             earlier = np.where(is_supported & ~is_linear, correlation[number], 0.0)
             if not is_independent[number]:
-                unsupported[term] = _refusal_reason(term, x, loads)
+                unsupported[term] = _refusal_reason(
+                    term, x, loads, np.zeros((0, x.shape[1])) if excluded is None else excluded
+                )
                 continue
             if np.max(earlier) > 1.0 - 0.5 * MIN_INDEPENDENT_SHARE**2:
                 unsupported[term] = f"does what {terms[int(np.argmax(earlier))].name(loads)} does in these loads"
@@ -86,14 +94,16 @@ def _orthonormal_basis(values: Array) -> Array:
     return np.asarray(U[:, s > 1e-9 * s[0]])
 
 
-def _refusal_reason(term: Term, x: Array, loads: Sequence[str]) -> str:
+def _refusal_reason(term: Term, x: Array, loads: Sequence[str], excluded: Array) -> str:
     """What the schedule lacks, in words that are stored in artefacts."""
     applied = np.abs(x) > MIN_APPLIED_LOAD
     for i in term.loads:
         if not applied[:, i].any():
             return f"{loads[i]} was never loaded"
     if not term.single_load and not np.any(applied[:, term.i] & applied[:, term.j]):
-        return f"{loads[term.i]} and {loads[term.j]} were never loaded together"
+        together = np.all(np.abs(excluded[:, [term.i, term.j]]) > MIN_APPLIED_LOAD, axis=1)
+        pair = f"{loads[term.i]} and {loads[term.j]} were"
+        return f"{pair} loaded together in excluded rows only" if together.any() else f"{pair} never loaded together"
     for i in term.loads:
         if not (np.any(x[:, i] > MIN_APPLIED_LOAD) and np.any(x[:, i] < -MIN_APPLIED_LOAD)):
             way = "downwards" if np.any(x[:, i] > MIN_APPLIED_LOAD) else "upwards"

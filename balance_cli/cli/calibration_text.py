@@ -104,14 +104,14 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
     model = all_trims.model
     proof = model.contraction()
     if all_trims.runs:
-        yield f"All trims, {len(all_trims.loads)} rows in {len(model.load_series)} load series, each with its own zero"
+        yield f"All trims, {_rows_text(all_trims)} in {len(model.load_series)} load series, each with its own zero"
     for note in all_trims.series_notes or ():
         yield f"  {note}"
     for channel, name in enumerate(model.channel_names):
         terms = nonlinear_terms_summary(all_trims, channel)
         yield f"  {name:12s} {', '.join(_term_text(term, values['t']) for term, values in terms.items()) or 'linear'}"
     if proof.proved and model.is_nonlinear:
-        yield f"  loads by iteration: every step reduces the error at least {1 / max(proof.rho, 1e-12):.0f} times"
+        yield f"  loads by iteration: every step reduces the error to {100.0 * proof.rho:.2g} % or less"
     if all_trims.non_iterative is not None:
         residuals = zip(model.components, all_trims.non_iterative.residual_percent_fs, strict=True)
         values = ", ".join(f"{name} {value:.4f}" for name, value in residuals)
@@ -123,6 +123,12 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
         yield f"  {count} terms are not supported by these loads, such as {example}"
     for check in all_trims.checks:
         yield from _check_text(check, model.components, full_scale(geometry, model.components, model.calibrated_range))
+
+
+def _rows_text(all_trims: AllTrimsCalibration) -> str:
+    """How many rows were fitted and, where some were excluded, of how many."""
+    fitted, rows = int(np.count_nonzero(all_trims.used)), len(all_trims.loads)
+    return f"{rows} rows" if fitted == rows else f"{fitted} of {rows} rows"
 
 
 def _check_text(check: CheckLoads, components: tuple[str, ...], scale: FullScale) -> Iterator[str]:

@@ -125,8 +125,8 @@ def _iteration_text(all_trims: AllTrimsCalibration, proof: Contraction, units: M
     )
     reach = zip(model.components, proof.reach * model.calibrated_range, strict=True)
     refused = ", ".join(f"{name} {PLUS_MINUS}{format_significant(float(size))} {units[name]}" for name, size in reach)
-    factor = format_significant(1.0 / max(proof.rho, 1e-12), 2)
-    iteration = f"Loads are computed by iteration; every step reduces the error at least {factor} times. "
+    left = format_significant(100.0 * proof.rho, 2)
+    iteration = f"Loads are computed by iteration; every step reduces the error to {left} % or less. "
     return f"{iteration if model.is_nonlinear else ''}Calibrated: {calibrated}. Loads beyond {refused} are refused."
 
 

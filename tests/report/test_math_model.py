@@ -196,7 +196,7 @@ def test_nonlinear_terms_with_their_evidence(spoiled, spoiled_section):
     words = texts(made, "text")
     assert "x.strain and z1.strain have such terms" in words
     rho = model.contraction().rho
-    assert f"reduces the error at least {format_significant(1 / rho, 2)} times" in words
+    assert f"reduces the error to {format_significant(100 * rho, 2)} % or less" in words
 
 
 def test_inflated_terms_are_marked(spoiled):

@@ -1,0 +1,79 @@
+"""Load series whose deviation a product of two loads explains that no other load series tells.
+
+A product of a varied load with one that hangs changes the gain of a channel, as a fault does. Where the two loads were
+applied together in one load series only, its readings do not tell which. Products of a few per cent are usual in
+balances, faults of a single series are not; a larger deviation is taken for a fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
+from balance_cli.calibration.term_support import MIN_APPLIED_LOAD
+from balance_cli.calibration.terms import Term
+
+Mask = NDArray[np.bool_]
+
+MAX_PRODUCT = 0.1
+"""Product of two full loads over the largest linear response of the channel: interactions above it are a fault."""
+MIN_NAMED_PRODUCT = 0.01
+"""Product from which it is named: below a gain error of 1 % no load series is suspected of a fault."""
+MOST_NAMED = 3
+"""Products that a note names."""
+MAX_RESIDUAL_RATIO = 3.0
+"""Rms residual of a channel in the series over its standard deviation, up to which the product explains the series."""
+
+
+def explaining_products(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask, channels: Iterable[str]
+) -> dict[str, float]:
+    """Products that only the rows (m,) of one load series tell and that explain these channels; empty where none does.
+
+    Each with its largest coefficient over the linear response of the channel, by the name of the term.
+    """
+    model, k = fit.model, len(points.components)
+    sizes: dict[str, float] = {}
+    terms = model.parsed_terms
+    own = [place for place, term in enumerate(terms) if not term.single_load and _is_own(points, rows, term)]
+    for name in channels:
+        c = model.channel_names.index(name)
+        largest = float(np.max(np.abs(model.coefficients[:k, c])))
+        found = {model.terms[place]: abs(model.coefficients[place, c]) / largest for place in own}
+        found = {term: float(size) for term, size in found.items() if size > 0.0}
+        sigma = float(np.sqrt(model.residual_covariance[c, c]))
+        is_fitted = float(np.sqrt(np.mean(fit.residuals[rows, c] ** 2))) <= MAX_RESIDUAL_RATIO * sigma
+        if not found or not is_fitted or max(found.values()) > MAX_PRODUCT:
+            return {}
+        sizes |= {term: max(size, sizes.get(term, 0.0)) for term, size in found.items()}
+    return sizes
+
+
+def _is_own(points: CalibrationPoints, rows: Mask, term: Term) -> bool:
+    """Whether the two loads of a term were applied together in these rows (m,), and in no others that are used."""
+    applied = np.abs(points.x) > MIN_APPLIED_LOAD
+    together = applied[:, term.i] & applied[:, term.j] & (points.weight > 0)
+    return bool(np.any(together & rows) and not np.any(together & ~rows))
+
+
+def own_product_notes(points: CalibrationPoints, fit: CalibrationModelFit) -> Iterator[str]:
+    """What the model takes for products of loads that one load series tells each, and what else they may be."""
+    model, used = fit.model, np.asarray(np.isfinite(fit.residuals).all(axis=1))
+    largest = np.max(np.abs(model.coefficients[: len(points.components)]), axis=0)
+    sizes: dict[str, float] = {}
+    for name in np.unique(points.load_series[used]).tolist():
+        rows = (points.load_series == name) & used
+        for place, term in enumerate(model.parsed_terms):
+            if not term.single_load and _is_own(points, rows, term):
+                sizes[model.terms[place]] = float(np.max(np.abs(model.coefficients[place]) / largest))
+    order = sorted((term for term, size in sizes.items() if size > MIN_NAMED_PRODUCT), key=lambda term: -sizes[term])
+    if order:
+        named = ", ".join(f"{term} ({100.0 * sizes[term]:.2g} % of the linear response)" for term in order[:MOST_NAMED])
+        more = f" and {len(order) - MOST_NAMED} more" if len(order) > MOST_NAMED else ""
+        yield (
+            f"products that rest on one load series each: {named}{more}; a wrong gain in that series would look the "
+            "same. Apply these loads together in a further series"
+        )

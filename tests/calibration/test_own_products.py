@@ -1,0 +1,53 @@
+"""Products of loads that one load series tells: fitted and named, not excluded as a wrong gain."""
+
+import numpy as np
+import pytest
+
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.campaign.rig.components import COMPONENTS
+
+NOISE, ROWS = 3e-4, 6
+
+
+def loads():
+    """Each load alone in both directions, then each beside the next that hangs; series open with their tare."""
+    steps, eye = np.arange(1, ROWS) / (ROWS - 1.0), np.eye(3)
+    parts = [np.outer(np.r_[0.0, sign * steps], eye[j]) for j in range(3) for sign in (1.0, -1.0)]
+    beside = [np.outer(steps, eye[j]) + 0.6 * eye[(j + 1) % 3] for j in range(3)]
+    return np.vstack([*parts, *(np.vstack([np.zeros(3), part]) for part in beside)])
+
+
+def calibrated(change):
+    """A calibration of three loads on four channels, with changed readings of its loads x (m, 3) and series (m,)."""
+    rng = np.random.default_rng(4)
+    x, series = loads(), np.repeat(np.arange(9), ROWS)
+    read = x @ rng.normal(size=(3, 4)) + 5e-3 * rng.normal(size=(9, 4))[series] + NOISE * rng.normal(size=(len(x), 4))
+    read = change(read, x, series)
+    names = tuple(f"g{c + 1}" for c in range(4))
+    return calibrate_all_trims(
+        CalibrationPoints(
+            names, COMPONENTS[:3], ("stand",), read, x, np.zeros(len(x), int), np.ones(len(x)), np.ones(3)
+        )
+    )
+
+
+@pytest.mark.parametrize("size", [0.02, 0.05])
+def test_a_product_that_one_series_shows_is_fitted_and_named(size):
+    whole = calibrated(lambda read, x, _: read + size * np.outer(x[:, 1] * x[:, 2], [1.0, 0.0, 0.0, 0.0]))
+    assert whole.suspect_series == () and whole.outliers == ()
+    assert whole.model.terms[3:] == ("Fy Fz",)
+    assert whole.model.channel_coefficients("g1")["Fy Fz"] == pytest.approx(size, abs=3e-3)
+    (note,) = whole.screening_notes
+    assert note.startswith("products that rest on one load series each: Fy Fz (")
+
+
+def test_a_gain_beyond_any_product_is_a_fault_and_the_product_is_told_by_excluded_rows_only():
+    def doubled(read, x, series):
+        first = read[series == 7][0]
+        return np.where((series == 7)[:, None], first + (read - first) * [1.5, 1.0, 1.0, 1.0], read)
+
+    whole = calibrated(doubled)
+    assert {suspect.channel for suspect in whole.suspect_series} == {"g1"}
+    assert whole.model.unsupported_terms["Fy Fz"] == "Fy and Fz were loaded together in excluded rows only"
+    assert whole.outliers == ()
