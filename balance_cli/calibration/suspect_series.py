@@ -118,9 +118,9 @@ def _worst_series(
 
 
 def _own_products(
-    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], suspects: Sequence[SuspectLoadSeries]
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], deviating: Sequence[SuspectLoadSeries]
 ) -> dict[str, float]:
-    return explaining_products(points, fit, rows, [suspect.channel for suspect in suspects])
+    return explaining_products(points, fit, rows, [suspect.channel for suspect in deviating])
 
 
 def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:

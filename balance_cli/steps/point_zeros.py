@@ -100,8 +100,8 @@ def _scatter_share(readings: PointReadings) -> Array:
     for number in np.unique(readings.zero_group).tolist():
         members = readings.zero_group == number
         own = readings.is_zero & members
-        told = np.unique(series[own if own.any() else readings.is_zero])
-        share[members & ~np.isin(series, told)] = 1.0 + 1.0 / len(told)
+        with_zero = np.unique(series[own if own.any() else readings.is_zero])
+        share[members & ~np.isin(series, with_zero)] = 1.0 + 1.0 / len(with_zero)
     return share
 
 
