@@ -19,6 +19,8 @@ RUN_KEYS = (
     *("power", "steady", "point", "contact", "trim", "trim_loads", "largest", "steps"),
 )
 """Settings of a run in the summary."""
+MOST_REPEATED = 2
+"""Equal sweeps in a row without a remark: one repetition tells whether the rig is still the same."""
 SAVED_DIGITS = 6
 """Significant digits of a forecast in the plan."""
 
@@ -150,6 +152,19 @@ def _runs_text(planned: PlannedCampaign) -> Iterator[str]:
         part = "" if planned.loads is None else f"  parameters' part of load sigma x {planned.loads.by_run[i]:.3g}"
         words = f"{excitation_words(plan):<10} {level_words(plan):>12} {condition_words(plan)} {record_words(plan):>9}"
         yield f"   {plan.run:<28} {words}{part}"
+    for first, last, count in _repeated_runs(planned):
+        yield f"   {first} to {last} are {count} times the same run: more `periods` in the hall file make it one record"
+
+
+def _repeated_runs(planned: PlannedCampaign) -> Iterator[tuple[str, str, int]]:
+    """First, last and number of consecutive sweeps that differ in their names alone."""
+    from itertools import groupby
+
+    plans = [item.plan for item in planned.chosen if item.plan.kind == "sweep"]
+    for _, group in groupby(plans, lambda plan: plan.model_dump_json(exclude={"run"})):
+        names = [plan.run for plan in group]
+        if len(names) > MOST_REPEATED:
+            yield names[0], names[-1], len(names)
 
 
 def _effects_text(planned: PlannedCampaign) -> Iterator[str]:
@@ -171,6 +186,8 @@ def _size(value: float) -> str:
 
 
 def _load_text(planned: PlannedCampaign) -> Iterator[str]:
+    from balance_cli.campaign.rig.components import UNIT_OF
+
     loads = planned.loads
     if loads is None:
         yield "Hub loads: no rotor in the geometry, or too few channels; their sigma is not predicted"
@@ -180,7 +197,7 @@ def _load_text(planned: PlannedCampaign) -> Iterator[str]:
         parts = [100.0 * part[:, i] / loads.reference[i] for part in (loads.before, loads.after, loads.noise)]
         worst = int(parts[1].argmax())
         numbers = " / ".join(f"{part[worst]:.3g}" for part in parts)
-        yield f"   {name}  {numbers}  at harmonic {worst + 1}, reference {loads.reference[i]:.4g}"
+        yield f"   {name}  {numbers}  at harmonic {worst + 1}, reference {loads.reference[i]:.4g} {UNIT_OF[name]}"
 
 
 def _confusion_text(planned: PlannedCampaign) -> Iterator[str]:

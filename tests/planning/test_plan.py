@@ -1,11 +1,13 @@
 """What a plan predicts, against what identification and score tests of simulated campaigns achieve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.cli.plan_text import plan_file_text
+from balance_cli.cli.plan_text import plan_file_text, plan_text
 from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
@@ -34,7 +36,7 @@ from balance_cli.report.sources import Sources
 from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.identify import identify
-from balance_cli.steps.plan import PlanningRig, PlanOptions, plan_campaign, planning_rig
+from balance_cli.steps.plan import PlanningRig, PlanOptions, number_runs, plan_campaign, planning_rig
 from tests.support.other_rigs import other_rig, short_campaign
 
 EFFECTS = ("channel-gain", "added-mass", "time-delay")
@@ -215,6 +217,15 @@ def test_file_of_a_plan_keeps_noise_and_forecast_for_simulation_and_page(short_p
     with pytest.raises(UserError, match="valid number") as error:
         read_stored_plan(path)
     assert error.value.place == "forecast.power"
+
+
+def test_text_says_which_runs_could_be_one_longer_record(short_plan_a):
+    first = short_plan_a[0].chosen[0]
+    name = first.plan.run.partition("-")[2]
+    for count, remark in ((2, None), (4, f"01-{name} to 04-{name} are 4 times the same run")):
+        chosen = number_runs([replace(first, plan=first.plan.model_copy(update={"run": name}))] * count)
+        text = "\n".join(plan_text(replace(short_plan_a[0], chosen=chosen, loads=None)))
+        assert (remark in text) if remark else ("the same run" not in text)
 
 
 def test_noise_of_a_plan_is_that_of_its_rehearsal(short_plan_a):
