@@ -183,8 +183,11 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.response_description import text_with_rotor
     from balance_cli.reduction.result import HubLoads
+    from balance_cli.reduction.turned_harmonics import turn_warnings
 
     runs = flag_contradicted_runs(session, runs)
+    for text in turn_warnings(runs.values()) if not reduction.method.frequencies else ():
+        session.warn(text)
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first

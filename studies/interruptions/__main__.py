@@ -28,7 +28,7 @@ from studies.interruptions.trials import (
 
 TABLES = Path(__file__).parents[1] / "tables"
 SMALL_DISK = 4096
-"""Bytes of the full disk: one page."""
+"""Bytes of the full disk: one page, which a file fills."""
 PARTS = ("calls", "shared", "room", "chain")
 
 
@@ -114,6 +114,7 @@ def _room(calls: dict[str, Call], folder: Path) -> list[Row]:
         rows.append(_shown(without_room(call, place, limit_files(100), "limit of file sizes")))
         with small_disk(place / "out", SMALL_DISK) as mounted:
             if mounted:
+                (place / "out" / "filling").write_bytes(bytes(SMALL_DISK))
                 rows.append(_shown(without_room(call, place, None, "disk full")))
         (place / "out").chmod(0o555)
         rows.append(_shown(without_room(call, place, lose_rights, "read-only folder")))

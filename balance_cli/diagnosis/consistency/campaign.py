@@ -25,6 +25,7 @@ from balance_cli.diagnosis.consistency.findings import (
 )
 from balance_cli.diagnosis.consistency.frequencies import FrequencyMismatch, frequency_mismatch, with_stiffness
 from balance_cli.diagnosis.consistency.hub import hub_shift
+from balance_cli.diagnosis.consistency.noise_levels import noise_findings
 from balance_cli.diagnosis.consistency.search import find_mistakes
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, suggest_units
 from balance_cli.model.balance import balance_model
@@ -44,12 +45,15 @@ BEYOND_TOLERANCES = float(np.log(10.0))
 def campaign_findings(geometry: Geometry, runs: Iterable[Run]) -> tuple[ConsistencyFinding, ...]:
     """Cross-check the runs with known loads against the geometry and against each other; faults first.
 
-    Runs without loads, and what the given runs cannot show, have no finding; nor has a geometry without mechanics.
+    Of runs without loads only the noise is compared. What the given runs cannot show has no finding, nor has a geometry
+    without mechanics.
     """
     if missing_mechanics(geometry):
         return ()
+    runs = tuple(runs)
     rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
-    return findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
+    findings = findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
+    return (*findings, *noise_findings(runs, geometry.channel_names))
 
 
 def _rows_with_level(run: Run, geometry: Geometry) -> tuple[ResponseRows, tuple[float, ...]] | None:

@@ -25,6 +25,7 @@ LEVEL = "level"
 DIFFERENT_RIG = "different rig"
 ANTI_ALIAS = "anti-alias filter"
 STATIC_RESPONSE = "static response"
+NOISE_LEVEL = "noise level"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -43,6 +44,7 @@ KINDS = (
     DIFFERENT_RIG,
     ANTI_ALIAS,
     STATIC_RESPONSE,
+    NOISE_LEVEL,
 )
 
 

@@ -1,0 +1,83 @@
+"""Wind runs with the pulses of another edge are named beside a run with loads like theirs, and no others."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.turned_harmonics import common_turn, turn_warnings
+
+COUNT = 9
+
+
+def a_run(amplitude, name="wind-1"):
+    return RunLoads(
+        run=name,
+        kind="wind",
+        response="model",
+        trim="bare",
+        components=COMPONENTS,
+        frequency_hz=17.5 * np.arange(COUNT),
+        amplitude=amplitude,
+        sigma_cosine=np.full((COUNT, 6), 0.01),
+        sigma_sine=np.full((COUNT, 6), 0.01),
+        flags=(("",) * 6,) * COUNT,
+        redundancy=np.ones(COUNT),
+        redundancy_limit=np.full(COUNT, 3.0),
+        condition=np.ones(COUNT),
+        left_out={},
+        interval=(0.0, 10.0),
+    )
+
+
+def random_loads(rng):
+    normal = rng.standard_normal((COUNT, 6)) + 1j * rng.standard_normal((COUNT, 6))
+    return normal * np.geomspace(10.0, 1.0, COUNT)[:, None]
+
+
+def changed(loads, share, turn, rng):
+    """Loads that differ by a share of their size, with pulses that come `turn` degrees late."""
+    noise = (rng.standard_normal(loads.shape) + 1j * rng.standard_normal(loads.shape)) / np.sqrt(2.0)
+    other = loads + share * np.abs(loads) * noise
+    # x = Re(a exp(j n psi)), and psi counts from a later moment.
+    return other * np.exp(1j * np.radians(turn) * np.arange(COUNT))[:, None]
+
+
+@pytest.mark.parametrize("turn", [10.0, -20.0, 45.0])
+def test_the_turn_of_runs_that_differ_by_a_fifth(turn):
+    rng = np.random.default_rng(1)
+    turns = []
+    for _ in range(20):
+        loads = random_loads(rng)
+        turns.append(common_turn(a_run(loads), a_run(changed(loads, 0.2, turn, rng), "wind-2")))
+    assert np.allclose(np.array(turns, float), turn, atol=1.5)
+
+
+def test_one_run_of_another_edge_is_named_and_the_return_from_it():
+    rng = np.random.default_rng(2)
+    loads = random_loads(rng)
+    runs = [a_run(changed(loads, 0.1, turn, rng), f"wind-{k}") for k, turn in enumerate((0.0, 10.0, 0.0))]
+    said = list(turn_warnings(runs))
+    assert [text.partition(":")[0] for text in said] == ["wind-1", "wind-2"]
+    assert re.search(r"those of wind-0 turned by n times \+(9\.|10)", said[0]) and "n times -" in said[1]
+
+
+def test_neither_repeated_points_nor_other_loads_nor_one_harmonic_are_turned():
+    rng = np.random.default_rng(3)
+    loads = [random_loads(rng) for _ in range(60)]
+    assert not list(turn_warnings(a_run(item) for item in loads))
+    assert not list(turn_warnings(a_run(changed(loads[0], 0.3, 0.0, rng)) for _ in range(60)))
+    first, second = np.zeros((2, COUNT, 6), complex)
+    first[1], second[1] = 1.0, 1j  # two phases of 1/rev are as many loads
+    assert common_turn(a_run(first), a_run(second)) is None
+
+
+def test_of_equal_angles_of_a_rotor_with_eight_blades_the_smallest_is_meant():
+    loads = np.zeros((33, 6), complex)
+    loads[8::8] = random_loads(np.random.default_rng(4))[:4]
+    sigma = np.full(loads.shape, 0.01)
+    run = replace(a_run(loads), sigma_cosine=sigma, sigma_sine=sigma)
+    assert common_turn(run, run) == 0.0
