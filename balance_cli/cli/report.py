@@ -73,7 +73,7 @@ def command(
         report_sources = _select_runs(report_sources, names)
     with session.working("page"):
         html_page = build_page(report_sources)
-    session.stage(output).write_text(html_page.html, encoding="utf-8")
+    session.write_text(output, html_page.html)
     if picture is not None:
         _write_picture(session, picture, html_page, report_sources)
     if pdf is not None:
