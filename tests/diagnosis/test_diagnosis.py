@@ -1,6 +1,7 @@
 """Diagnosis: score test, model error, cross-validation, and whole diagnoses of simulated campaigns."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -549,18 +550,23 @@ def one_cell(*effects):
     return diagnose(model, measured_spectra(runs, ONE, means=True))
 
 
-@pytest.mark.parametrize(
-    ("effects", "labels"),
-    [
-        ((), set()),
-        ((CUBIC,), {"cubic-stiffness@z,beside"}),
-        ((CUBIC, OFFSET), {"cubic-stiffness@z,beside", "load-offset@Fz"}),
-        ((CUBIC, QUADRATIC), {"cubic-stiffness@z,beside", "quadratic-stiffness@z,beside"}),
-    ],
-    ids=["nothing", "cubic", "cubic and offset", "cubic and quadratic"],
-)
-def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
-    found, updated = one_cell(*effects)
+ONE_CELL = {
+    "nothing": ((), set()),
+    "cubic": ((CUBIC,), {"cubic-stiffness@z,beside"}),
+    "cubic and offset": ((CUBIC, OFFSET), {"cubic-stiffness@z,beside", "load-offset@Fz"}),
+    "cubic and quadratic": ((CUBIC, QUADRATIC), {"cubic-stiffness@z,beside", "quadratic-stiffness@z,beside"}),
+}
+
+
+@cache
+def diagnose_case(case):
+    """The diagnosis of a case of ONE_CELL, made once for all tests."""
+    return one_cell(*ONE_CELL[case][0])
+
+
+@pytest.mark.parametrize("case", ONE_CELL)
+def test_effects_of_a_rig_with_one_cell_are_found(case):
+    (effects, labels), (found, updated) = ONE_CELL[case], diagnose_case(case)
     assert found.verdict == (EXPLAINED if effects else NOTHING_MISSING)
     assert {effect.label for effect in found.effects} == labels
     assert updated.quality.chi2_per_dof < 1.2
@@ -572,7 +578,7 @@ def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
 
 
 def test_what_has_no_place_in_a_rig_is_not_testable_and_what_was_found_is_not_listed():
-    found, _ = one_cell(CUBIC, OFFSET)
+    found, _ = diagnose_case("cubic and offset")
     why = {item.name: item.reason for item in found.untestable_effects}
     assert why["crosstalk"] == "a rig with 1 cell, 1 channel that moves in z has no place for it"
     assert not {"load-offset", "cubic-stiffness"} & set(why)
