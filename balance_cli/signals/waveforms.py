@@ -37,8 +37,9 @@ LEAST_FILTER_GAIN = 0.3
 SMOOTHING_LINES = 7
 NOISE_P_VALUE = 1e-3
 QUIET_QUANTILE = 0.1
-# Probability below which the scatter of the means of the periods is attributed to a drift, not to noise.
-DRIFT_P_VALUE = 1e-4
+# Probability below which the scatter of the means of the periods is attributed to a drift, not to noise: of the channel
+# that scatters most, and of all channels together, where a false alarm only makes the mean of one record less certain.
+DRIFT_P_VALUE, COMMON_DRIFT_P_VALUE = 1e-4, 1e-2
 
 
 def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -> RunSpectrum:
@@ -232,9 +233,10 @@ def _append_mean_covariance(covariance: ComplexArray, factor: float, ac_coupled:
 
 
 def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Geometry) -> float:
-    """Scatter of the means (m, n) of the periods relative to that of noise; 1 where the excess is not significant.
+    """Variance of the mean relative to that of noise, by the means (m, n) of the periods; 1 where no drift is significant.
 
-    The noise is that of the lowest line, which is the mean of `periods` periods.
+    The noise is that of the lowest line, which is the mean of `periods` periods. A flicker (1/f) in all channels is too
+    small in each of them to be found in two or three periods, and does not average out over them.
     """
     if len(means) < 2:
         return 1.0
@@ -244,5 +246,11 @@ def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Ge
     c, free = len(ac_coupled), len(means) - 1
     noise = np.diagonal(lines.covariance[0]).real[:c] * periods / 4.0
     ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(ac_coupled)]
-    largest = float(ratio.max(initial=0.0))
-    return largest if largest > chi2.isf(DRIFT_P_VALUE / c, free) / free else 1.0
+    if not len(ratio):
+        return 1.0
+    largest, common, all_free = float(ratio.max()), float(ratio.mean()), free * len(ratio)
+    if largest <= chi2.isf(DRIFT_P_VALUE / c, free) / free:
+        largest = 1.0
+    if common <= chi2.isf(COMMON_DRIFT_P_VALUE, all_free) / all_free:
+        common = 0.0
+    return max(largest, common * len(means))

@@ -1,8 +1,12 @@
 """Waveforms of the channels for nonlinear forces: reduction of their noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.signals import waveforms
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.waveforms import LEAST_FILTER_GAIN, SMOOTHING_LINES, nonperiodic_spectrum_with_waveform
@@ -57,3 +61,30 @@ def before_filter(run, frequency, geometry):
     gain = anti_alias_response(geometry.acquisition, frequency)
     amplitudes = np.fft.rfft(run.read().channels, axis=0)[: len(frequency)] * (2.0 / run.samples)
     return amplitudes / np.where(np.abs(gain) >= LEAST_FILTER_GAIN, gain, np.inf)[:, None]
+
+
+@pytest.mark.parametrize("flicker", [0.0, 1.0])
+def test_the_mean_of_a_record_is_as_uncertain_as_it_scatters(flicker):
+    """Noise of two steady periods, white and 1/f of the same size; the mean is that of the noise alone."""
+    geometry, rng = rotor_balance(), np.random.default_rng(5)
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(80.0,), period=0.5, periods=8, band=(4.0, 150.0))
+    clean = simulate_run(true_rig(geometry), plan, Noise(strain=0.0, piezo=0.0, torque=0.0, load=0.0, quantum=0.0), seed=1)[0]
+    block, n = clean.read(clean.samples - 800), 800
+    direct = np.array([channel.measures_dc for channel in geometry.channels])
+    ratio = []
+    for _ in range(8):
+        volts = 1e-4 * (rng.standard_normal(block.channels.shape) + flicker * one_over_f(rng, block.channels.shape))
+        loads = block.loads + 1e-3 * rng.standard_normal(block.loads.shape)
+        run = replace(clean, samples=n, source=MemorySource(block.channels + volts, loads))
+        line = measured_spectra([run], geometry, means=True).lines[0]
+        sigma = np.sqrt(np.diagonal(line.covariance[-1]).real[: len(direct)] / 8.0)
+        ratio.append((volts.mean(axis=0) / sigma)[direct])
+    assert np.sqrt(np.mean(np.square(ratio))) < 1.25
+
+
+def one_over_f(rng, shape):
+    """Noise (n, c) with a power that falls with frequency, of unit variance."""
+    frequency = np.maximum(np.fft.rfftfreq(shape[0]), 1.0 / shape[0])
+    z = noise(rng, len(frequency), shape[1]) / np.sqrt(frequency)[:, None]
+    x = np.fft.irfft(z, shape[0], axis=0)
+    return x / x.std()
