@@ -97,7 +97,12 @@ def _yaml_format(path: Path) -> str | None:
 
 
 def attribute_text(value: object) -> str | None:
-    """An HDF5 attribute as text, with invalid UTF-8 replaced; None where it is not text."""
+    """An HDF5 attribute as text, with invalid UTF-8 replaced; None where it is not text.
+
+    Text of a fixed length, which h5py reads as bytes, is filled up with blanks by programs in Fortran and MATLAB.
+    """
+    if isinstance(value, bytes):
+        value = value.rstrip(b" \0")
     if isinstance(value, str):
         value = value.encode("utf-8", "surrogateescape")
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else None

@@ -115,6 +115,22 @@ def test_scalar_and_array_attributes_say_the_same(path: Path) -> None:
     assert open_run(path).digest == plain.digest
 
 
+def test_what_other_programs_write_says_the_same(path: Path) -> None:
+    """Text of a fixed length filled up with blanks, `Nm`, and optional items that hold nothing."""
+    write_run(path, a_run("sweep", excitation="random"))
+    digest = open_run(path).digest
+    with h5py.File(path, "a") as file:
+        padded = [name.ljust(20) for name in file["loads"].attrs["names"]]
+        file["loads"].attrs["names"] = np.array(padded, "S20")
+        file["loads"].attrs["units"] = ["N"] * 3 + ["Nm", "N*m", "N.m"]
+        file.attrs["kind"] = np.bytes_(b"sweep   ")
+        file.attrs["period"] = np.nan
+        file.create_dataset("temperature", data=np.zeros((0, 1)))
+        file.create_dataset("attitude", data=np.zeros((0, 2)))
+        file.create_dataset("series", data=h5py.Empty("i4"))
+    assert open_run(path).digest == digest
+
+
 def damage(path: Path, change: Any) -> list[UserError]:
     with h5py.File(path, "a") as file:
         change(file)

@@ -52,7 +52,7 @@ def read_additions(path: Path, rows: int) -> RunAdditions | None:
         error = file.attrs.get(AZIMUTH_ERROR)
         additions = RunAdditions(
             load_points=_read_points(file, rows) if "load_points" in file else None,
-            temperature_names=_read_temperature_names(file, rows) if TEMPERATURE in file else (),
+            temperature_names=() if _is_empty(file, TEMPERATURE) else _read_temperature_names(file, rows),
             further_pulse_times=tuple(_read_further_pulses(file)),
             azimuth_error_deg=None if error is None else _azimuth_error(error),
             source=Hdf5Additions(path),
@@ -65,6 +65,12 @@ def _azimuth_error(value: Any) -> float:
     if not np.isscalar(value) or not np.isreal(value) or not 0.0 <= float(np.real(value)) <= 360.0:
         raise UserError(f"is {value!r}", place=f"attribute {AZIMUTH_ERROR}", remedy="It should be degrees, or absent")
     return float(np.real(value))
+
+
+def _is_empty(file: h5py.File, name: str) -> bool:
+    """Whether there is nothing in a dataset, or no dataset."""
+    dataset = file.get(name)
+    return dataset is None or (isinstance(dataset, h5py.Dataset) and not dataset.size)
 
 
 def _numbers(file: h5py.File, name: str) -> Any:
@@ -113,7 +119,8 @@ def _names(dataset: Any, count: int) -> tuple[str, ...]:
 def _read_temperature_names(file: h5py.File, rows: int) -> tuple[str, ...]:
     dataset = _numbers(file, TEMPERATURE)
     if len(dataset.shape) != 2 or dataset.shape[0] != rows or not dataset.shape[1]:
-        raise UserError(f"has the shape {dataset.shape}", place=TEMPERATURE, remedy=f"It should have {rows} rows")
+        remedy = f"It should be {rows} rows by sensors, such as ({rows}, 1)"
+        raise UserError(f"has the shape {dataset.shape}", place=TEMPERATURE, remedy=remedy)
     unit = attribute_text(dataset.attrs.get("unit"))
     if unit != "degC":
         remedy = "It should be `degC`"

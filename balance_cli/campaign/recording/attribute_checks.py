@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE
-from balance_cli.campaign.recording.run_schema import as_list
+from balance_cli.campaign.recording.run_schema import as_list, stated_period
 from balance_cli.campaign.rig.components import COMPONENTS, EXCITATIONS, RUN_KINDS
 from balance_cli.io.errors import UserError
 
@@ -53,13 +53,13 @@ def _sweep_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
     excited, level = (as_list(attributes.get(name)) for name in ("excited", "level"))
     if not excited or len(set(excited)) < len(excited) or any(name not in COMPONENTS for name in excited):
         yield _attribute_fault("excited", attributes.get("excited"), f"of {', '.join(COMPONENTS)}, each once at most")
-    excitation, period = attributes.get("excitation"), attributes.get("period")
+    excitation, period = attributes.get("excitation"), stated_period(attributes)
     if excitation not in EXCITATIONS:
         yield _attribute_fault("excitation", excitation, f"one of {', '.join(EXCITATIONS)}")
     if len(level) != len(excited) or not all(is_positive(value) for value in level):
         yield _attribute_fault("level", attributes.get("level"), "an rms above 0 for each component excited")
     if (period is not None or excitation == "multisine") and not _is_period(period, attributes.get("sample_rate")):
-        yield _attribute_fault("period", period, f"a time of at least {FEWEST_PERIOD_SAMPLES:g} samples [s]")
+        yield _attribute_fault("period", attributes.get("period"), f"a time of at least {FEWEST_PERIOD_SAMPLES:g} samples [s]")
 
 
 def _is_period(period: object, rate: object) -> bool:

@@ -12,6 +12,7 @@ from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileCont
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.io.errors import UserError
+from balance_cli.io.units import parse_unit
 
 KINDS_WITH_LOADS = ("static", "sweep", "check")
 KINDS_WITH_PULSES = ("check", "wind")
@@ -53,10 +54,20 @@ def load_faults(kind: str, loads: DatasetLayout | None, channels: DatasetLayout 
     if set(loads.names) != set(COMPONENTS):
         fault = f"the columns are {', '.join(loads.names) or 'not named'}"
         yield UserError(fault, place="loads, attribute names", remedy=f"They should be {', '.join(COMPONENTS)}")
-    elif loads.units != tuple(UNIT_OF[name] for name in loads.names):
+    elif len(loads.units) != len(loads.names) or not all(map(_is_unit_of, loads.units, loads.names)):
         fault = f"the units are {', '.join(loads.units) or 'missing'}"
         yield UserError(fault, place="loads, attribute units", remedy="They should be N for forces, N m for moments")
     yield from _row_count_fault("loads", loads, channels, "Both should have one row for each sample")
+
+
+def _is_unit_of(text: str, component: str) -> bool:
+    """Whether a text is the unit of a load component, in any spelling (`N m`, `Nm`, `N*m`)."""
+    if text == UNIT_OF[component]:
+        return True
+    try:
+        return parse_unit(text, UNIT_OF[component]).factor == 1.0
+    except UserError:
+        return False
 
 
 def attitude_faults(kind: str, contents: RunFileContents) -> Iterator[UserError]:

@@ -23,6 +23,8 @@ from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require
 
 MOST_ATTRIBUTE_ENTRIES = 10_000
 """Entries of an attribute; no rig has so many channels."""
+LEFT_EMPTY = ("loads", "attitude", "series", "point", EXCITATION)
+"""Datasets that a writer of all kinds of runs leaves empty where there is nothing to store: as good as absent."""
 
 
 @contextmanager
@@ -101,8 +103,10 @@ def _read_layout(file: h5py.File, name: str, units: str) -> DatasetLayout | None
         return None
     if not isinstance(dataset, h5py.Dataset):
         raise UserError("is not a dataset", place=name, remedy="Write it as a dataset")
+    if dataset.shape is None or (name in LEFT_EMPTY and dataset.size == 0):
+        return None
     attributes = _read_attributes(dataset, ("names", units))
-    shape = tuple(dataset.shape or ())
+    shape = tuple(dataset.shape)
     return DatasetLayout(
         shape,
         dataset.dtype.kind,

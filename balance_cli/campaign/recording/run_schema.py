@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -66,7 +67,8 @@ def run_from_contents(contents: RunFileContents, source: SampleSource, path: Pat
     attributes, kind = contents.attributes, contents.attributes["kind"]
     channels = contents.channels
     assert channels is not None
-    rate, speed, period = (attributes.get(name) for name in ("sample_rate", "rotor_speed", "period"))
+    rate, speed = attributes.get("sample_rate"), attributes.get("rotor_speed")
+    period = stated_period(attributes)
     sweep = kind == "sweep"
     return Run(
         name=attributes["run"],
@@ -99,6 +101,13 @@ def _attitude_angles(contents: RunFileContents) -> Array | None:
     if contents.attitude is None or contents.angles is None:
         return None
     return np.asarray(contents.angles[:, [contents.attitude.names.index(name) for name in ANGLES]], float)
+
+
+def stated_period(attributes: Mapping[str, Any]) -> Any:
+    """The attribute `period`; None where it is absent, and where zero or not a number says that there is none."""
+    period = attributes.get("period")
+    no_period = isinstance(period, int | float) and (period == 0 or math.isnan(period))
+    return None if no_period and attributes.get("excitation") != "multisine" else period
 
 
 def as_list(value: Any) -> list[Any]:
