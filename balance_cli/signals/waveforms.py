@@ -233,7 +233,7 @@ def _append_mean_covariance(covariance: ComplexArray, factor: float, ac_coupled:
 
 
 def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Geometry) -> float:
-    """Variance of the mean relative to that of noise, by the means (m, n) of the periods; 1 where no drift is significant.
+    """Variance of a mean relative to that of noise, by the means (m, n) of the periods; 1 without significant drift.
 
     The noise is that of the lowest line, which is the mean of `periods` periods. A flicker (1/f) in all channels is too
     small in each of them to be found in two or three periods, and does not average out over them.

@@ -59,7 +59,8 @@ def _sweep_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
     if len(level) != len(excited) or not all(is_positive(value) for value in level):
         yield _attribute_fault("level", attributes.get("level"), "an rms above 0 for each component excited")
     if (period is not None or excitation == "multisine") and not _is_period(period, attributes.get("sample_rate")):
-        yield _attribute_fault("period", attributes.get("period"), f"a time of at least {FEWEST_PERIOD_SAMPLES:g} samples [s]")
+        remedy = f"a time of at least {FEWEST_PERIOD_SAMPLES:g} samples [s]"
+        yield _attribute_fault("period", attributes.get("period"), remedy)
 
 
 def _is_period(period: object, rate: object) -> bool:
