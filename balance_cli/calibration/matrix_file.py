@@ -23,15 +23,25 @@ def read_any_matrix(path: Path, geometry: Geometry) -> tuple[ParsedMatrix | Line
 
     Returns the matrix and the hex SHA-256 of the file. Raises UserError for its first fault.
     """
-    begin = _first_bytes(path)
-    if begin.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<"):
+    if is_xml(path):
         text, digest = read_text_file(path)
         return read_ati_matrix(text.removeprefix("\ufeff"), str(path)), digest
-    if begin.startswith((b"balance-matrix", b"\xef\xbb\xbfbalance-matrix")) or not begin:
+    if is_matrix_of_all_terms(path):
         return read_matrix_file(path)
     table = read_table(path)
     channels = [channel.name for channel in geometry.channels if channel.measures_dc]
     return read_linear_csv(table, load_components(geometry).names, channels), table.digest
+
+
+def is_xml(path: Path) -> bool:
+    """Whether a file begins as XML does."""
+    return _first_bytes(path).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
+
+
+def is_matrix_of_all_terms(path: Path) -> bool:
+    """Whether a file begins as `balance-matrix/1` does, or cannot be read: its reader says why."""
+    begin = _first_bytes(path)
+    return begin.startswith((b"balance-matrix", b"\xef\xbb\xbfbalance-matrix")) or not begin
 
 
 def _first_bytes(path: Path) -> bytes:

@@ -68,11 +68,12 @@ class NonIterativeModel:
     def prediction_interval(self, change: ArrayLike, zero_covariance: Array) -> Array:
         """Half-width (m, k) [N, N m] of the prediction interval at the level CONFIDENCE.
 
-        `zero_covariance` (c, c) [V2] of the zero that was subtracted. The residuals of the fit contain the noise of the
-        readings and that of the loads.
+        `zero_covariance` (c, c) [V2] of the zero that was subtracted. Errors of rows that the others predict contain
+        the noise of the readings and of the loads, and what the model lacks.
         """
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
-        own = np.diag(self.model.residual_covariance) + np.diag(self.inverse @ zero_covariance @ self.inverse.T)
+        predicted_errors = self.model.press_ratio**2 * np.diag(self.model.residual_covariance)
+        own = predicted_errors + np.diag(self.inverse @ zero_covariance @ self.inverse.T)
         coefficients = np.diagonal(self.model.model_covariance(y), axis1=1, axis2=2)
         factor = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(self.model.dof.min())))
         return np.asarray(factor * np.sqrt(own + coefficients) * self.calibrated_range)

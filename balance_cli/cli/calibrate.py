@@ -112,7 +112,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     choices = _Choices(**options)
     _check_options(runs, choices)
     reading = table_reading(choices.units, choices.moment_center)
-    rig = rig_of_inputs(session, geometry, (*runs, *choices.hold_out), reading)
+    rig = rig_of_inputs(session, geometry, (*runs, *choices.hold_out), reading, choices.from_matrix)
     held_out = functools.partial(
         open_static_runs, session, choices.hold_out, rig, reading, choices.skip_bad, "hold-out"
     )

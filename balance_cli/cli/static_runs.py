@@ -52,12 +52,17 @@ optional_geometry_option: Callable[[F], F] = click.option(
     "geometry",
     type=InputFile(),
     metavar="GEOMETRY",
-    help="Geometry of the rig. Point tables of hub loads, with the units of their readings in the head, need none.",
+    help="Geometry of the rig. Point tables of hub loads, with the units of their readings in the head, need none, "
+    "nor do linear matrices.",
 )
 
 
-def rig_of_inputs(session: Session, geometry: Path | None, paths: Iterable[Path], reading: TableReading) -> Geometry:
+def rig_of_inputs(
+    session: Session, geometry: Path | None, paths: Iterable[Path], reading: TableReading, matrix: Path | None = None
+) -> Geometry:
     """The geometry that is given, with units that the files state and it does not; without one that of the first table.
+
+    Without a table it is that of the linear `matrix`, where one is given.
 
     Raises UserError without a geometry where there is no table, or a run file that needs one.
     """
@@ -73,6 +78,8 @@ def rig_of_inputs(session: Session, geometry: Path | None, paths: Iterable[Path]
         rig = declare_table_units(session.geometry(geometry, mechanics=False), tables, reading)
         files = [path for path in paths if path not in tables] if channels_of_free_unit(rig) else []
         return declare_reading_units(rig, map(stated_reading_units, files))
+    if not paths and matrix is not None:
+        return _rig_of_matrix(session, matrix)
     if not tables or len(tables) < len(paths):
         fault = "no geometry is given, and only point tables do without one"
         raise UserError(fault, "-g", remedy="Give the geometry of the rig with -g GEOMETRY")
@@ -81,6 +88,14 @@ def rig_of_inputs(session: Session, geometry: Path | None, paths: Iterable[Path]
         f"without a geometry: {', '.join(rig.channel_names)} of {tables[0].name} are the channels, "
         f"{', '.join(load_components(rig).names)} the loads"
     )
+    return rig
+
+
+def _rig_of_matrix(session: Session, matrix: Path) -> Geometry:
+    from balance_cli.calibration.matrix_geometry import geometry_of_matrix
+
+    rig = geometry_of_matrix(matrix)
+    session.echo(f"without a geometry: {', '.join(rig.channel_names)} are the channels of {matrix.name}")
     return rig
 
 

@@ -152,3 +152,22 @@ def test_check_loads_have_no_coverage_where_no_interval_is_known(tmp_path: Path)
     assert "interval not known" in (tmp_path / "page.html").read_text()
     text = call("apply", tmp_path / "cal.h5", tmp_path / "check.csv", "--zero", "first", "-o", tmp_path / "l.csv")
     assert "not known" in text
+
+
+def test_a_linear_matrix_needs_no_geometry(tmp_path: Path) -> None:
+    """Plain CSV in both directions, and a vendor's file, whose channels are numbered."""
+    (tmp_path / "t0.csv").write_text("component,B1 [mV/V],B2 [mV/V],range\nFx [N],100,0,200\nFz [N],10,200,200\n")
+    (tmp_path / "c0.csv").write_text("channel,Fx [N],Fz [N]\nB1 [mV/V],0.01,0\nB2 [mV/V],-5e-4,0.005\nrange,200,200\n")
+    (tmp_path / "p.csv").write_text("B1 [mV/V],B2 [mV/V]\n0,0\n1,0.5\n")
+    for name in ("t0.csv", "c0.csv"):
+        call("calibrate", "--from-matrix", tmp_path / name, "-o", tmp_path / "c.h5")
+        call("apply", tmp_path / "c.h5", tmp_path / "p.csv", "--zero", "first", "-o", tmp_path / "l.csv")
+        loads = pd.read_csv(tmp_path / "l.csv")
+        assert loads["Fx [N]"][1] == pytest.approx(100.0) and loads["Fz [N]"][1] == pytest.approx(110.0)
+    (tmp_path / "s.cal").write_text(ati(USER_AXES))
+    assert "G0, G1, G2, G3, G4, G5 are the channels" in call(
+        "calibrate", "--from-matrix", tmp_path / "s.cal", "-o", tmp_path / "v.h5"
+    )
+    (tmp_path / "bad.csv").write_text("component,B1\nFx [N],1\n")
+    words = call("calibrate", "--from-matrix", tmp_path / "bad.csv", "-o", tmp_path / "x.h5", status=2)
+    assert "has no channels with their units" in words and not (tmp_path / "x.h5").exists()
