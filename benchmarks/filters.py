@@ -40,6 +40,7 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify
 from balance_cli.steps.reduce_in_time import reduce_run_in_time
+from benchmarks.comparison import Comparison, program_with_version
 from benchmarks.filters_memory import RATE, SPEED, ReductionCase
 
 Array = NDArray[np.float64]
@@ -66,6 +67,18 @@ SUPPORT = {
 }
 SIZES = np.array([50.0, 50.0, 80.0, 10.0, 10.0, 8.0])
 """Standard deviations [N, N m] of the loads between the harmonics."""
+
+
+def compare() -> list[Comparison]:
+    """Time the smoother of random loads beside filterpy's, and the whole reduction."""
+    channel_filter = _channel_filter(_time_invariant())
+    seconds, reference, differences = _times_beside_filterpy(channel_filter)
+    steady = channel_filter.at(0)
+    size = f"{steady.model.order} states, {len(steady.model.H)} channels, {RATE:g} Hz"
+    ours, theirs = (sum(item) for item in (seconds, (reference.filtering, reference.smoothing)))
+    note = f"{size}: {1 / ours / RATE:.0f} times real time; loads {max(differences):.0e} of their sigma apart"
+    program = program_with_version("filterpy", "KalmanFilter, rts_smoother")
+    return [Comparison("`reduce --method smoother`", "sample", ours, program, theirs, note)]
 
 
 def run() -> str:
@@ -139,6 +152,21 @@ def _constant_speed_filter(channel_filter: ChannelFilter) -> ChannelFilter:
 def _compare_with_filterpy(name: str, channel_filter: ChannelFilter) -> list[str]:
     """Compare time per sample and results of filter and smoother."""
     steady = channel_filter.at(0)
+    (filtering, smoothing), reference, differences = _times_beside_filterpy(channel_filter)
+    return [
+        f"{name}, states {steady.model.order}, channels {len(steady.model.H)}",
+        _ratio_line("filter", filtering, reference.filtering),
+        _ratio_line("filter and smoother", filtering + smoothing, reference.filtering + reference.smoothing),
+        f"  largest difference over the standard deviation of a load: {differences[0]:.1e} (filter), "
+        f"{differences[1]:.1e} (smoother)",
+    ]
+
+
+def _times_beside_filterpy(
+    channel_filter: ChannelFilter,
+) -> tuple[tuple[float, float], FilterpyResult, tuple[float, float]]:
+    """Return seconds per sample of filter and smoother, those of filterpy, and how far their loads are apart."""
+    steady = channel_filter.at(0)
     y, start = _draw_channels(steady, SAMPLES), np.zeros(steady.model.order)
     filter_block = channel_filter.forward_pass(0, y, start)
     channel_filter.backward_pass(filter_block, start)  # computes what is cached
@@ -151,13 +179,7 @@ def _compare_with_filterpy(name: str, channel_filter: ChannelFilter) -> list[str
         _largest_difference(reference.predicted, filter_block.predicted),
         _largest_difference(reference.smoothed, smoothed),
     )
-    return [
-        f"{name}, states {steady.model.order}, channels {y.shape[1]}",
-        _ratio_line("filter", filtering, reference.filtering),
-        _ratio_line("filter and smoother", filtering + smoothing, reference.filtering + reference.smoothing),
-        f"  largest difference over the standard deviation of a load: {differences[0]:.1e} (filter), "
-        f"{differences[1]:.1e} (smoother)",
-    ]
+    return (filtering, smoothing), reference, differences
 
 
 def _ratio_line(name: str, seconds: float, reference: float) -> str:

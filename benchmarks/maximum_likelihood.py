@@ -6,7 +6,6 @@ residuals with the loads eliminated, and differentiates them numerically.
 
 from __future__ import annotations
 
-import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
+from benchmarks.comparison import Comparison, program_with_version
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
@@ -35,32 +35,27 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class TimedFit:
-    """Seconds of one fit, chi-square at its end, and the estimate."""
+    """Processor time [s] of one fit, chi-square at its end, and the estimate."""
 
     seconds: float
     chi2: float
     theta: Array
 
 
-def run() -> str:
-    """Time both fits and return their ratio as text."""
+def compare() -> list[Comparison]:
+    """Time both fits."""
     model, batches = _campaign()
     chi2 = _total(model, batches)
     fits = [_time_fit(lambda: _fit_with_balance_cli(model, batches), chi2) for _ in range(3)]
     analytic = min(fits, key=lambda fit: fit.seconds)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     numerical = _time_fit(lambda: _fit_with_numerical_jacobian(model, batches), chi2)
     parameters, lines = model.parameters, sum(len(batch.lines.index) for batch in batches)
     difference = np.abs(analytic.theta - numerical.theta)[parameters.free] / parameters.scale[parameters.free]
-    return "\n".join(
-        [
-            f"lines {lines}, free parameters {int(parameters.free.sum())}",
-            f"analytic derivatives {analytic.seconds:8.2f} s   chi2 {analytic.chi2:.6e}   peak memory {memory:.0f} MB",
-            f"scipy, numerical     {numerical.seconds:8.2f} s   chi2 {numerical.chi2:.6e}",
-            f"ratio {numerical.seconds / analytic.seconds:.1f}",
-            f"largest difference {difference.max():.1e} of a prior sigma",
-        ]
-    )
+    size = f"{lines} lines, {int(parameters.free.sum())} parameters"
+    chi2 = f"chi² {analytic.chi2:.7g} and {numerical.chi2:.7g}"
+    note = f"{size}, sample campaign; {chi2}, {difference.max():.0e} prior sigma apart"
+    program = program_with_version("scipy", "least_squares with its numerical Jacobian")
+    return [Comparison("`identify`, likelihood", "fit", analytic.seconds, program, numerical.seconds, note)]
 
 
 def _campaign() -> tuple[BalanceModel, tuple[Batch, ...]]:
@@ -75,9 +70,9 @@ def _total(model: BalanceModel, batches: Sequence[Batch]) -> Callable[[Array], f
 
 
 def _time_fit(fit: Callable[[], Array], chi2: Callable[[Array], float]) -> TimedFit:
-    start = time.perf_counter()
+    start = time.process_time()
     theta = fit()
-    return TimedFit(time.perf_counter() - start, chi2(theta), theta)
+    return TimedFit(time.process_time() - start, chi2(theta), theta)
 
 
 def _fit_with_balance_cli(model: BalanceModel, batches: Sequence[Batch]) -> Array:

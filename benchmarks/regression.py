@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.terms import all_terms, term_values
+from benchmarks.comparison import Comparison, program_with_version
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -38,26 +39,18 @@ class RegressionResult:
     inflation: Array
 
 
-def run() -> str:
-    """Time both, and say the ratio."""
-    try:
-        import statsmodels
-    except ImportError:
-        return "statsmodels is not installed: pip install '.[bench]'"
+def compare() -> list[Comparison]:
+    """Time both."""
     X, Y, block = problem()
     ours, fast = _time_call(lambda: _with_balance_cli(X, Y, block), REPETITIONS)
     theirs, slow = _time_call(lambda: _with_statsmodels(X, Y, block), 1)
     apart = max(
         _relative_difference(getattr(fast, name), getattr(slow, name)) for name in RegressionResult.__annotations__
     )
-    return "\n".join(
-        [
-            f"points {POINTS} in {SEQUENCES} sequences, terms {X.shape[1]}, channels {CHANNELS}",
-            f"ours                 {1e3 * ours:9.1f} ms",
-            f"statsmodels {statsmodels.__version__:9s}{1e3 * theirs:9.1f} ms",
-            f"ratio {theirs / ours:.0f}, largest difference {apart:.1e} of the largest number",
-        ]
-    )
+    size = f"{POINTS} points, {X.shape[1]} terms, {CHANNELS} channels"
+    note = f"{size}; coefficients, sigma, rows left out, inflation; they differ by {apart:.0e}"
+    program = program_with_version("statsmodels", "OLS")
+    return [Comparison("`calibrate`, regression", "fit", ours, program, theirs, note)]
 
 
 def problem(seed: int = 0) -> tuple[Array, Array, Index]:

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 import balance_cli
+from benchmarks import table
 from tests.support.tools import tool
 
 ROOT = Path(__file__).parents[1]
@@ -36,6 +37,11 @@ def test_updated_model_is_the_best_of_the_table():
     stored = json.loads(tool("error_table").STORED.read_text(encoding="utf-8"))
     for component, error in stored["closed"].items():
         assert error <= min(stored[method][component] for method in ("static", "computed", "rigid", "transfer"))
+
+
+def test_table_of_benchmarks_is_that_of_the_stored_results():
+    (written,) = table.BLOCK.findall(table.README.read_text(encoding="utf-8"))
+    assert written == table.table(), "the table of benchmarks is out of date: run `make bench`"
 
 
 def test_version_is_the_same_everywhere():
