@@ -32,6 +32,8 @@ from studies.unknown import unknown_effect
 GEOMETRY = str(Path(__file__).parents[1] / "configs" / "rts-6.yaml")
 # What an effect that cannot show has: large enough to matter if it could.
 UNTESTABLE_SCALES = 20.0
+EFFECT_OF_UNKNOWN = {"saturating-channel": "saturation"}
+"""The effect that describes what the study simulates by itself, where the library has one."""
 
 
 def attribution_chunk(one: Case) -> pd.DataFrame:
@@ -129,9 +131,13 @@ def _add_hidden_effects(rig: TrueRig, one: Case, hidden: Sequence[HiddenEffect])
 def is_right(diagnosis: Diagnosis, one: Case) -> bool:
     """What is hidden was found and nothing else, or, where it cannot be, nothing was said to be it.
 
-    What no effect describes must leave the verdict open; of what cannot show it must be said so.
+    What no effect describes must leave the verdict open, unless the effect that does is found alone; of what cannot
+    show it must be said so.
     """
     if one.kind == "unknown":
+        name = EFFECT_OF_UNKNOWN.get(one.hidden[0])
+        if name is not None and {effect.name for effect in diagnosis.effects} == {name}:
+            return True
         physical = [effect for effect in diagnosis.effects if not effect.evidence.empirical]
         return not physical and diagnosis.verdict in (UNEXPLAINED, PARTLY_EXPLAINED)
     if one.kind == "untestable":

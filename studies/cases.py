@@ -68,7 +68,8 @@ PAIRS: tuple[tuple[str, str], ...] = (
 )
 
 UNKNOWN = ("tuned-mass", "saturating-channel")
-"""Effects that are simulated and have no file in the library (`studies/unknown.py`)."""
+"""What is simulated by the study's own code (`studies/unknown.py`): a second body, which only an empirical mode
+describes, and a channel that saturates, which was unknown too before the library had the effect."""
 UNTESTABLE = ("gyroscopic-coupling", "channel-offset@x.piezo", "load-offset@Fz")
 """Effects that are there and cannot show: at rest, in a channel that hears no constant load, without such a channel."""
 

@@ -1,6 +1,6 @@
 """Leaving out one channel or one run, where the rest of the data then needs no effect.
 
-A channel that saturates, or a run in which something slipped, is no property of the rig. Where no set of effects
+A channel with a loose contact, or a run in which something slipped, is no property of the rig. Where no set of effects
 describes all data, the model from before the search is fitted to the data without the channel or run that holds most of
 its residual. It is left out if the rest is then described within its noise.
 """

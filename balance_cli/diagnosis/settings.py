@@ -88,6 +88,10 @@ class RoundSettings:
     """Relative decrease of the model error that counts as progress. Smaller steps describe and do not explain."""
     small_error: float = 1e-3
     """Model error (share of the response) below which the tests against the noise take over."""
+    stuck_error: float = 0.05
+    """Model error above which single motions are restarted: beside a right support little is left."""
+    max_restarts: int = 4
+    """Values of effects that are replaced one after another where a fit is stuck: each takes a fit for each motion."""
     large_error: float = 3e-3
     """Model error above which a fit may be in a wrong minimum, and its weights must carry the error."""
     alternative_gain_share: float = 0.9

@@ -16,6 +16,7 @@ from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidates, suspected_candidates
 from balance_cli.diagnosis.search.initial_candidates import InitialCandidates
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fit_with_candidate, restart
+from balance_cli.diagnosis.search.restarts import restart_one_by_one
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
@@ -115,7 +116,12 @@ def _add_initial_candidate(
 
 
 def restart_if_better(state: SearchState, lines: SearchLines, settings: SearchSettings) -> SearchState | None:
-    """Return the same effects, fitted again from the regression; None where that is no better."""
+    """Return the same effects, fitted again from other values; None where no fit is better.
+
+    The regression comes first. Where its error is large too, single motions are restarted, one after another.
+    """
     restarted = restart(state, lines, settings.fit)
-    better = restarted.fit_criterion < state.fit_criterion - settings.parameter_cost
-    return restarted if better else None
+    best = restarted if restarted.fit_criterion < state.fit_criterion else state
+    if best.error > settings.rounds.stuck_error:
+        best = restart_one_by_one(best, lines, settings)
+    return best if best.fit_criterion < state.fit_criterion - settings.parameter_cost else None

@@ -86,6 +86,7 @@ class SearchHints:
     - `extra_starts(geometry, where)`: further starts at which only the score is computed, for an effect whose nuisance
       parameters matter as much as its size; `start_from_score(geometry, where, start, step)` then gives the values
       from which a fit begins, `step` being the score test's estimate of the parameters that have a null.
+    - `restarts(geometry, where)`: sets of values; each may replace those of a fit in a wrong minimum.
     - `inaccuracy`: shares of the effect's own signature that noise in the measured motion leaves uncertain, in periodic
       records and in others. Smaller effects beside a large one of this kind are rejected.
     - `at_most_once`: a rig has the effect at one place at most.
@@ -100,6 +101,7 @@ class SearchHints:
     starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
     extra_starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
     start_from_score: Callable[[Geometry, Where, Start, Start], Start] | None = None
+    restarts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
     inaccuracy: tuple[float, float] = (0.0, 0.0)
     at_most_once: bool = False
     start_at_frequency: Callable[[float], Start] | None = None

@@ -27,7 +27,7 @@ from balance_cli.campaign.rig.torque_meter import FREEDOM_ABOUT
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, rig_length, stiffness_by_motion
 from balance_cli.model.effects.places import Where, nonempty_subsets
-from balance_cli.model.effects.search_hints import SearchHints
+from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, clip_below, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import SHAFT, Equations, dual_motion_at
 
@@ -41,6 +41,8 @@ FLOOR = 1e-6
 """Lower bound of masses and compliances in square roots, relative to their scale: zero has no derivative there."""
 START_COMPLIANCE_SHARE = 0.1
 """Compliances from which a search begins, relative to those of the cells: a support is stiffer than the cells."""
+RESTART_COMPLIANCE_SHARE = 0.5
+"""The same where a fit is stuck: a motion that began too stiff may have ended rigid."""
 START_DEPTH = 0.2
 """Depth of the center below the lowest cell where a search begins, relative to the height of the hub above it."""
 
@@ -174,6 +176,18 @@ def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]
     return tuple({"z": lowest - times * depth, **compliances} for times in (1.0, 0.0, 2.0))
 
 
+def _restarts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
+    """One motion after another as soft as the cells, with the inertia of the metric side; the others stay."""
+    stiffness, inertia = stiffness_by_motion(geometry), inertia_by_motion(geometry)
+    return tuple(
+        {
+            f"compliance_{name}": RESTART_COMPLIANCE_SHARE / stiffness[name],
+            **({} if name in TRANSLATIONS else {_inertia_name(name): inertia[name]}),
+        }
+        for name in where
+    )
+
+
 def _bounded_stiffness_ratios(inertia: Dual, compliance: Dual, geometry: Geometry, where: Where) -> Dual:
     """Inertia over compliance (m,), both bounded away from zero, where a square root has no derivative."""
     parameters = {item.name: item for item in _parameters(geometry, where)}
@@ -199,5 +213,5 @@ EFFECT = Effect(
     places=_places,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(places=_search_places, starts=_starts, at_most_once=True),
+    search=SearchHints(places=_search_places, starts=_starts, restarts=_restarts, at_most_once=True),
 )

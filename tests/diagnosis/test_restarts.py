@@ -1,0 +1,82 @@
+"""A motion of a large support that a fit has lost is found again."""
+
+import numpy as np
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.search.refit import fit_until_stable
+from balance_cli.diagnosis.search.restarts import restart_one_by_one
+from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.recorded_loads import exciter_response
+from balance_cli.model.balance import balance_model
+from balance_cli.model.effects.geometry_scales import inertia_by_motion, stiffness_by_motion
+from balance_cli.model.system_response import solve
+from balance_cli.signals.run_spectrum import RunSpectrum
+from tests.support.rigs import two_degrees_of_freedom
+
+NOISE = 1e-4
+
+
+def supported_model():
+    """A plate that heaves and pitches on a support softer than its cells."""
+    rig = two_degrees_of_freedom()
+    stiffness, inertia = stiffness_by_motion(rig), inertia_by_motion(rig)
+    values = {
+        "mass": 0.8 * inertia["z"],
+        "inertia_theta": 0.9 * inertia["theta"],
+        "compliance_z": 1.4 / stiffness["z"],
+        "compliance_theta": 0.9 / stiffness["theta"],
+        "damping_ratio": 0.02,
+    }
+    support = DeclaredEffect(name="support-flexibility", where=("z", "theta"), parameters=values)
+    return balance_model(rig.model_copy(update={"effects": (support,)}))
+
+
+def swept_lines(model, component, column, frequency, rng):
+    system = model.system(model.parameters.value)
+    load = 40.0
+    volts = load * exciter_response(system, solve(system, frequency, 0.0))[:, :, column]
+    sigma = np.append(NOISE * np.sqrt(np.mean(np.abs(volts) ** 2, axis=0)), NOISE * load)
+    exact = np.column_stack([volts, np.full(len(frequency), load)])
+    noise = (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)) * sigma / np.sqrt(2.0)
+    z = exact + noise
+    return RunSpectrum(
+        run=f"sweep-{component}",
+        channel_names=model.geometry.channel_names,
+        components=(component,),
+        frequency=frequency,
+        channels=z[:, :-1],
+        loads=z[:, -1:],
+        covariance=np.broadcast_to(np.diag(sigma**2).astype(complex), (len(frequency), len(sigma), len(sigma))),
+        dof=np.inf,
+        level=(load,),
+    )
+
+
+def search_lines_of(model):
+    rng, frequency = np.random.default_rng(3), np.linspace(2.0, 80.0, 80)
+    runs = [swept_lines(model, name, i, frequency, rng) for name, i in (("Fz", 2), ("My", 4))]
+    batches = stack_runs(runs, (), model.geometry.channel_names)
+    return SearchLines(batches, batches)
+
+
+def test_a_motion_that_a_fit_has_lost_is_found_again():
+    true = supported_model()
+    lines, name = search_lines_of(true), "support-flexibility@z,theta.compliance_z"
+    place = true.parameters.index(name)
+    begun_rigid = true.parameters.value.copy()
+    begun_rigid[place] *= 1e-9
+    stuck = fit_until_stable(true, begun_rigid, lines, DEFAULT_SETTINGS.fit)
+    assert stuck.error > 0.5
+    assert stuck.theta[place] < 1e-6 * true.parameters.value[place]
+    found = restart_one_by_one(stuck, lines, DEFAULT_SETTINGS)
+    assert found.error < NOISE
+    np.testing.assert_allclose(found.theta[place], true.parameters.value[place], rtol=1e-3)
+
+
+def test_a_model_without_such_effects_stays():
+    rigid = balance_model(two_degrees_of_freedom())
+    lines = search_lines_of(supported_model())
+    state = fit_until_stable(rigid, rigid.parameters.value.copy(), lines, DEFAULT_SETTINGS.fit)
+    assert restart_one_by_one(state, lines, DEFAULT_SETTINGS) is state
