@@ -71,15 +71,20 @@ def _errors_of_run(run, truth, tones: bool) -> np.ndarray:
 
 
 def main(seeds: int) -> None:
-    """Print the coverage of each rig."""
+    """Print the coverage of each rig; its standard error is that over the campaigns."""
     for rig in RIGS:
-        found = []
+        campaigns = []
         for seed in range(1, seeds + 1):
             with tempfile.TemporaryDirectory() as folder:
-                found.append(errors(rig, seed, Path(folder)))
-        all_errors = np.concatenate(found)
-        share, rms = np.mean(np.abs(all_errors) < TWO_SIDED), np.sqrt(np.mean(all_errors**2))
-        print(f"{rig}: {len(all_errors)} numbers, {100 * share:.1f} % within 1.96 sigma, rms error {rms:.2f} sigma")
+                campaigns.append(errors(rig, seed, Path(folder)))
+        shares = [100.0 * np.mean(np.abs(campaign) < TWO_SIDED) for campaign in campaigns]
+        error = np.std(shares, ddof=1) / np.sqrt(seeds) if seeds > 1 else np.nan
+        rms = np.sqrt(np.mean(np.concatenate(campaigns) ** 2))
+        print(
+            f"{rig}: {seeds} campaigns, {sum(map(len, campaigns))} numbers, {np.mean(shares):.1f} % +- {error:.1f} % "
+            f"within 1.96 sigma ({min(shares):.0f} to {max(shares):.0f} %), rms error {rms:.2f} sigma",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
