@@ -60,7 +60,7 @@ def compare_calibrations(new: Calibration, old: Calibration) -> CalibrationCompa
 
     Raises UserError where one has no model of all trims, or they have other components or no channel in common.
     """
-    a, b = calibration_model(new), calibration_model(old)
+    a, b = calibration_model(new), model_at_temperature(old, new)
     require_same_balance(a, b)
     names = tuple(name for name in a.channel_names if name in b.channel_names)
     terms = tuple(dict.fromkeys((*a.terms, *b.terms)))
@@ -97,6 +97,28 @@ def calibration_model(calibration: Calibration) -> CalibrationModel:
         fault = f"the calibration of {calibration.geometry.name} has no calibration model of all trims"
         raise UserError(fault, "--against", remedy="Give calibrations whose channels determine the loads in all trims")
     return calibration.all_trims.model
+
+
+def model_at_temperature(calibration: Calibration, other: Calibration) -> CalibrationModel:
+    """The model of a calibration, its sensitivities referred to the reference temperature of another one.
+
+    As it is where one of the two states no temperature.
+    """
+    model = calibration_model(calibration)
+    terms, target = calibration.temperature, other.temperature
+    if terms is None or target is None or terms.components != model.components:
+        return model
+    k, difference = len(model.components), target.reference - terms.reference
+    away = terms.under_load - terms.reference
+    # The error of referring them to their own reference is in their covariance, and counts once.
+    further = np.sqrt(np.maximum((difference - away) ** 2 - away**2, 0.0)) * model.calibrated_range
+    coefficients, covariance = model.coefficients.copy(), model.covariance.copy()
+    for at, name in enumerate(model.channel_names):
+        if name in terms.channel_names:
+            c = terms.channel_names.index(name)
+            coefficients[:k, at] += difference * terms.coefficients[1:, c] * model.calibrated_range
+            covariance[at, :k, :k] += terms.covariance[c, 1:, 1:] * further[:, None] * further
+    return replace(model, coefficients=coefficients, covariance=covariance)
 
 
 def coefficients_at_range(

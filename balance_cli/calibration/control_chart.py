@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.comparison import calibration_model, coefficients_at_range, require_same_balance
+from balance_cli.calibration.comparison import coefficients_at_range, model_at_temperature, require_same_balance
 from balance_cli.calibration.result import Calibration
 from balance_cli.signals import distributions as stats
 
@@ -144,8 +144,8 @@ class _CoefficientTable:
 
 
 def _collect_coefficients(named: Sequence[tuple[str, Calibration]]) -> _CoefficientTable:
-    """Coefficients of all calibrations as readings at the calibrated range of the newest."""
-    models = [calibration_model(calibration) for _, calibration in named]
+    """Coefficients of all calibrations as readings at the calibrated range and the temperature of the newest."""
+    models = [model_at_temperature(calibration, named[-1][1]) for _, calibration in named]
     newest = models[-1]
     for model in models:
         require_same_balance(newest, model)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.comparison import compare_calibrations
+from balance_cli.calibration.temperature import TemperatureTerms
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.cli.comparison_summary import comparison_summary, comparison_text
@@ -53,3 +54,30 @@ def test_other_balances_are_refused() -> None:
     model = replace(made.all_trims.model, components=("a", "b", "c"))
     with pytest.raises(UserError, match="has the components a, b, c"):
         compare_calibrations(made, replace(made, all_trims=replace(made.all_trims, model=model)))
+
+
+def test_sensitivities_are_compared_at_the_temperature_of_the_newer_calibration() -> None:
+    """The older one was made 5 K colder; its sensitivity to N1 grows by 0.1 % of 1 mV/V a kelvin."""
+    new, old = calibrated(1), calibrated(2)
+    model = old.all_trims.model
+    k, c = len(model.components), len(model.channel_names)
+    drift = np.zeros((1 + k, c))
+    drift[1, 0] = 1e-6 / model.calibrated_range[0]
+    warm = TemperatureTerms(
+        model.channel_names,
+        model.components,
+        drift,
+        np.zeros((c, 1 + k, 1 + k)),
+        drift,
+        25.0,
+        20.0,
+        30.0,
+        np.full(k, 25.0),
+    )
+    cold = replace(warm, reference=20.0, under_load=np.full(k, 20.0))
+    before = compare_calibrations(new, old).changes
+    after = compare_calibrations(replace(new, temperature=warm), replace(old, temperature=cold)).changes
+    by_term = {(change.channel, change.term): change for change in before}
+    for change in after:
+        expected = 5e-6 if (change.channel, change.term) == ("B0", "N1") else 0.0
+        assert change.old - by_term[change.channel, change.term].old == pytest.approx(expected, abs=1e-12)
