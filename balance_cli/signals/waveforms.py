@@ -54,8 +54,13 @@ def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -
     channels, loads = read_samples(run, lines.channel_names, first)
     periods = np.hstack([channels, loads[:, load_columns(lines.components)]]).reshape(-1, n, lines.covariance.shape[1])
     number_of_periods = rate * (window.stop - window.start[0]) / n
-    factor = number_of_periods / len(periods) * _drift_factor(periods.mean(axis=1), lines, number_of_periods, geometry)
-    lines = _append_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
+    direct = ~np.array(_ac_coupled_channels(lines, geometry))
+    # Lines whose noise is taken from neighbors still ringing hide a drift that their window shows: each has its factor.
+    factor, window_factor = (
+        number_of_periods / len(periods) * _drift_factor(periods.mean(axis=1), covariance[0], number_of_periods, direct)
+        for covariance in (lines.covariance, window.covariance)
+    )
+    lines = _append_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry, window_factor)
     c = len(lines.channel_names)
     bin_index = np.rint(lines.frequency * n / rate).astype(np.intp)
     waveform = waveform_from_samples(
@@ -196,16 +201,18 @@ def _ac_coupled_channels(lines: RunSpectrum, geometry: Geometry) -> list[bool]:
     return [not by_name[name].measures_dc for name in lines.channel_names]
 
 
-def _append_mean(lines: RunSpectrum, mean: Array, factor: float, start: float, geometry: Geometry) -> RunSpectrum:
+def _append_mean(
+    lines: RunSpectrum, mean: Array, factor: float, start: float, geometry: Geometry, window_factor: float = 1.0
+) -> RunSpectrum:
     """Append a line at frequency zero for the mean (c+u,) of the record from `start` [s] on.
 
-    Its noise is `factor` times that of the lowest line.
+    Its noise is `factor` times that of the lowest line, in the window `window_factor` times.
     """
     ac_coupled, factor = _ac_coupled_channels(lines, geometry), 2.0 * factor
     c, z = len(ac_coupled), 2.0 * mean
     window = lines.window
     if window is not None:
-        covariance = _append_mean_covariance(window.covariance, factor, ac_coupled)
+        covariance = _append_mean_covariance(window.covariance, 2.0 * window_factor, ac_coupled)
         window = replace(window, start=np.append(window.start, start), covariance=covariance)
     count = len(lines.frequency)
     volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
@@ -232,20 +239,20 @@ def _append_mean_covariance(covariance: ComplexArray, factor: float, ac_coupled:
     return np.concatenate([covariance, last])
 
 
-def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Geometry) -> float:
+def _drift_factor(means: Array, covariance: ComplexArray, periods: float, direct: NDArray[np.bool_]) -> float:
     """Variance of a mean relative to that of noise, by the means (m, n) of the periods; 1 without significant drift.
 
-    The noise is that of the lowest line, which is the mean of `periods` periods. A flicker (1/f) in all channels is too
-    small in each of them to be found in two or three periods, and does not average out over them.
+    The noise is the `covariance` (n, n) of the lowest line, which is the mean of `periods` periods; `direct` (c,) are
+    the channels that measure a mean. A flicker (1/f) in all channels is too small in each of them to be found in two or
+    three periods, and does not average out over them.
     """
     if len(means) < 2:
         return 1.0
     from balance_cli.signals.distributions import chi2
 
-    ac_coupled = _ac_coupled_channels(lines, geometry)
-    c, free = len(ac_coupled), len(means) - 1
-    noise = np.diagonal(lines.covariance[0]).real[:c] * periods / 4.0
-    ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(ac_coupled)]
+    c, free = len(direct), len(means) - 1
+    noise = np.diagonal(covariance).real[:c] * periods / 4.0
+    ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[direct]
     if not len(ratio):
         return 1.0
     largest, common, all_free = float(ratio.max()), float(ratio.mean()), free * len(ratio)

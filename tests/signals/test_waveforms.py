@@ -77,8 +77,9 @@ def test_the_mean_of_a_record_is_as_uncertain_as_it_scatters(flicker):
         loads = block.loads + 1e-3 * rng.standard_normal(block.loads.shape)
         run = replace(clean, samples=n, source=MemorySource(block.channels + volts, loads))
         line = measured_spectra([run], geometry, means=True).lines[0]
-        sigma = np.sqrt(np.diagonal(line.covariance[-1]).real[: len(direct)] / 8.0)
-        ratio.append((volts.mean(axis=0) / sigma)[direct])
+        for covariance in (line.covariance, line.window.covariance):
+            sigma = np.sqrt(np.diagonal(covariance[-1]).real[: len(direct)] / 8.0)
+            ratio.append((volts.mean(axis=0) / sigma)[direct])
     assert np.sqrt(np.mean(np.square(ratio))) < 1.25
 
 
