@@ -40,7 +40,7 @@ def table() -> str:
         row = Comparison(**{key: value for key, value in item.items() if key != "benchmark"})  # type: ignore[arg-type]
         beside = f"{_time(row.other_seconds)}, {row.program}"
         rows.append(
-            f"| {row.task} | {_time(row.seconds)} a {row.unit} | {beside} | {_ratio(row.ratio)} | {row.note} |\n"
+            f"| {row.task} | {_time(row.seconds)} per {row.unit} | {beside} | {_ratio(row.ratio)} | {row.note} |\n"
         )
     return HEAD + "".join(rows)
 
