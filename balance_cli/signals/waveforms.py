@@ -37,6 +37,9 @@ LEAST_FILTER_GAIN = 0.3
 SMOOTHING_LINES = 7
 NOISE_P_VALUE = 1e-3
 QUIET_QUANTILE = 0.1
+# Mean of a load that is not excited, over the rms of the excited ones, from which it acts on purpose: the sweeps of a
+# plan under mean loads have 1 and more; below it changes chi-square of the mean by about one.
+LEAST_MEAN_LOAD = 1e-3
 # Probability below which the scatter of the means of the periods is attributed to a drift, not to noise: of the channel
 # that scatters most, and of all channels together, where a false alarm only makes the mean of one record less certain.
 DRIFT_P_VALUE, COMMON_DRIFT_P_VALUE = 1e-4, 1e-2
@@ -60,7 +63,8 @@ def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -
         number_of_periods / len(periods) * _drift_factor(periods.mean(axis=1), covariance[0], number_of_periods, direct)
         for covariance in (lines.covariance, window.covariance)
     )
-    lines = _append_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry, window_factor)
+    without_mean = _without_mean(lines, loads, geometry)
+    lines = _append_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, without_mean, window_factor)
     c = len(lines.channel_names)
     bin_index = np.rint(lines.frequency * n / rate).astype(np.intp)
     waveform = waveform_from_samples(
@@ -86,7 +90,8 @@ def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], g
         first=np.append(local.first, len(bin_index) - M),
         weight=np.vstack([local.weight, np.eye(M)[-1]]),
     )
-    return replace(_append_mean(local.spectrum, mean, 1.5, 0.0, geometry), waveform=waveform)
+    without_mean = _without_mean(local.spectrum, loads, geometry)
+    return replace(_append_mean(local.spectrum, mean, 1.5, 0.0, without_mean), waveform=waveform)
 
 
 def waveform_from_samples(
@@ -201,18 +206,37 @@ def _ac_coupled_channels(lines: RunSpectrum, geometry: Geometry) -> list[bool]:
     return [not by_name[name].measures_dc for name in lines.channel_names]
 
 
+def _without_mean(lines: RunSpectrum, loads: Array, geometry: Geometry) -> list[bool]:
+    """Which channels (c,) have no useful mean: AC-coupled ones, and all where loads (n, 6) act that are not excited.
+
+    The lines hold the excited components alone. A mean load of another one strains the rig as well, and would be taken
+    for an offset of channels.
+    """
+    excited = load_columns(lines.components)
+    mean, level = np.abs(loads.mean(axis=0)), float(np.linalg.norm(np.std(loads[:, excited], axis=0)))
+    if np.delete(mean, excited).max(initial=0.0) > LEAST_MEAN_LOAD * level:
+        return [True] * len(lines.channel_names)
+    return _ac_coupled_channels(lines, geometry)
+
+
 def _append_mean(
-    lines: RunSpectrum, mean: Array, factor: float, start: float, geometry: Geometry, window_factor: float = 1.0
+    lines: RunSpectrum,
+    mean: Array,
+    factor: float,
+    start: float,
+    without_mean: Sequence[bool],
+    window_factor: float = 1.0,
 ) -> RunSpectrum:
     """Append a line at frequency zero for the mean (c+u,) of the record from `start` [s] on.
 
-    Its noise is `factor` times that of the lowest line, in the window `window_factor` times.
+    Its noise is `factor` times that of the lowest line, in the window `window_factor` times, and infinite in the
+    channels `without_mean` (c,).
     """
-    ac_coupled, factor = _ac_coupled_channels(lines, geometry), 2.0 * factor
-    c, z = len(ac_coupled), 2.0 * mean
+    factor = 2.0 * factor
+    c, z = len(without_mean), 2.0 * mean
     window = lines.window
     if window is not None:
-        covariance = _append_mean_covariance(window.covariance, 2.0 * window_factor, ac_coupled)
+        covariance = _append_mean_covariance(window.covariance, 2.0 * window_factor, without_mean)
         window = replace(window, start=np.append(window.start, start), covariance=covariance)
     count = len(lines.frequency)
     volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
@@ -222,7 +246,7 @@ def _append_mean(
         frequency=np.append(lines.frequency, 0.0),
         channels=np.vstack([lines.channels, z[:c]]),
         loads=np.vstack([lines.loads, z[c:]]),
-        covariance=_append_mean_covariance(lines.covariance, factor, ac_coupled),
+        covariance=_append_mean_covariance(lines.covariance, factor, without_mean),
         window=window,
         constant_volts=volts,
         constant_loads=units,

@@ -7,7 +7,9 @@ import pytest
 
 from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run_file import open_run, write_run
+from balance_cli.estimation.likelihood import count_measured_values, data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.planning.candidate_runs import candidate_runs
@@ -188,3 +190,17 @@ def test_a_run_is_compared_by_the_parameters_of_which_it_tells_its_share():
     # A channel that was lost takes the whole information of its own parameters, which are not in the mean.
     assert information_ratio(np.diag([2e4, 1.0, 0.0]), planned, campaign) == pytest.approx(1.0)
     assert information_ratio(np.zeros((3, 3)), planned, campaign) == 0.0
+
+
+def test_a_sweep_under_a_mean_load_fits_the_rig_with_its_mean():
+    """The mean of the channels is by a load that is not excited, and no offset: chi2 per value was 3e5 with it."""
+    geometry = other_rig("A")
+    model = balance_model(geometry)
+    sweep = SweepPlan(run="s", excited=("Fx",), level=(20.0,), period=1.0, periods=4, sample_rate=2000.0, band=(4, 180))
+    for steady in ({"Fz": 400.0}, None):
+        run, _ = simulate_run(true_rig(geometry), sweep.model_copy(update={"steady": steady}), seed=3)
+        spectra = measured_spectra([run], geometry, means=True)
+        batches = stack_runs(spectra.lines, (), geometry.channel_names)
+        assert data_chi2(batches, model.system()) < 1.2 * count_measured_values(batches)
+        covariance = np.diagonal(spectra.lines[0].covariance[-1]).real[: len(geometry.channels)]
+        assert np.isinf(covariance).all() == (steady is not None)
