@@ -16,6 +16,7 @@ from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
 from studies.blind.judge import blind_chunk, blind_table
 from studies.calibration import calibration_chunk, calibration_table
+from studies.calibration_rows import rows_chunk, rows_table
 from studies.calibration_schedules import schedules_chunk, schedules_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
@@ -152,6 +153,16 @@ def schedules(seeds: int = 20, jobs: int = 2) -> None:
     """Mistakes named, coverage, and errors over those of plain least squares, by schedule of a static calibration."""
     table = schedules_table(run_chunks("schedules", schedules_chunk, range(seeds), jobs))
     _write("schedules", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command("calibration-rows")
+@click.option("--seeds", default=20, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def calibration_rows(seeds: int = 20, jobs: int = 2) -> None:
+    """Coverage of the intervals of loads, from 10 to 1000 rows and from 1 to 30 load series of a static calibration."""
+    table = rows_table(run_chunks("calibration_rows", rows_chunk, range(seeds), jobs))
+    _write("calibration_rows", table)
     click.echo(table.to_string(index=False))
 
 
