@@ -26,6 +26,7 @@ from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.steadiness import unsteady_loads
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
 from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine, unmodelled_lines
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ class Trust:
     """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model.
 
     `confounded` are the harmonics beside which another rotor has a line; `pairs` the channels of one cell that
-    contradict each other, so that every load is rejected.
+    contradict each other, so that every load is rejected; `regressed` the highest harmonic of the regression.
     """
 
     untested: Mask
@@ -61,11 +62,14 @@ class Trust:
     lines: tuple[UnmodelledLine, ...]
     confounded: frozenset[int] = frozenset()
     pairs: tuple[PairContradiction, ...] = ()
+    regressed: int = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
         """The lines and the pairs of channels in words."""
-        return (*(line.description for line in self.lines), *(pair.description for pair in self.pairs))
+        n = len(self.untested) - 1
+        lines = (line.explain(n, self.regressed) for line in self.lines)
+        return (*lines, *(pair.description for pair in self.pairs))
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -102,16 +106,18 @@ def assess_trust(
     contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
     n = shape[0] - 1
     lines: tuple[UnmodelledLine, ...] = ()
+    regressed = 0
     if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
         gain = _power_gain(record, source)
         lines = unmodelled_lines(
             record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain, record.other_rotors
         )
+        regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
     unsteady = unsteady_loads(record, geometry, source, static, sigma)
     pairs = contradicted_pairs(record, geometry, source)
     rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
-    return Trust(untested, unsteady, contradicted, rejected, lines, shared, pairs)
+    return Trust(untested, unsteady, contradicted, rejected, lines, shared, pairs, regressed)
 
 
 def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array], Array] | None:

@@ -147,7 +147,7 @@ def estimate_harmonics(
     revolutions = (first_revolution, last)
     start, end = (float(t) for t in azimuth.time_of(np.array(revolutions)))
     offsets = line_offsets(last - first_revolution)
-    fitted_count = _harmonics_to_fit(run, azimuth, n, start, end)
+    fitted_count = count_regressed_harmonics(run, azimuth, n, (start, end))
     sums = _empty_sums(n * (last - first_revolution) + int(offsets[-1]), fitted_count, other.columns, len(names))
     for samples in _weighted_blocks(run, azimuth, names, revolutions, other, block):
         _accumulate_block(sums, samples, fitted_count)
@@ -189,9 +189,10 @@ def _check_interval(run: Run, azimuth: Azimuth, n: int, first: int, last: int) -
         raise UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Record for longer")
 
 
-def _harmonics_to_fit(run: Run, azimuth: Azimuth, n: int, start: float, end: float) -> int:
+def count_regressed_harmonics(run: Run, azimuth: Azimuth, n: int, interval: tuple[float, float]) -> int:
+    """Return the highest harmonic in the regression for harmonics 0 to `n`; UserError where the rate is too low."""
     assert run.sample_rate is not None
-    fastest = float(np.max(azimuth.speed(np.linspace(start, end, 2048))))
+    fastest = float(np.max(azimuth.speed(np.linspace(*interval, 2048))))
     possible = int(BELOW_NYQUIST * run.sample_rate / 2 / fastest)
     if possible < n:
         fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate, {run.sample_rate:g} Hz"

@@ -59,6 +59,15 @@ class UnmodelledLine:
         where = f"{self.order:.0f}/rev" if self.turns_with_rotor else f"{self.order:.2f} per revolution"
         return f"line at {self.frequency:.2f} Hz ({where}), strongest in {self.channel}"
 
+    def explain(self, n: int, regressed: int) -> str:
+        """Return the line in words, and what it does to harmonics 1 to `n` of a regression of `regressed` harmonics."""
+        if not self.turns_with_rotor:
+            return f"{self.description}: no harmonic describes it, it may leak into the harmonics beside it"
+        remedy = f"--harmonics {self.order:.0f} reduces it too"
+        if self.order > regressed:
+            return f"{self.description}: the regression ends at {regressed}/rev, it may leak; {remedy}"
+        return f"{self.description}: it is in the regression, harmonics 1 to {n} are free of it; {remedy}"
+
 
 PowerGain = Callable[[Array], Array]
 

@@ -36,6 +36,8 @@ def test_a_higher_harmonic_is_named_however_the_speed_varies(order):
     assert line.turns_with_rotor
     assert line.order == order
     assert f"{order}/rev" in line.description
+    assert "1 to 8 are free of it" in line.explain(8, 24)
+    assert "may leak" in line.explain(8, order - 1)
     assert line.amplitude == pytest.approx(0.4, rel=0.25) or line.channel == "a"
 
 
@@ -48,6 +50,7 @@ def test_a_tone_that_does_not_turn_with_the_rotor_is_named(frequency):
     (line,) = lines(tones={frequency: 0.3})
     assert not line.turns_with_rotor
     assert line.frequency == pytest.approx(frequency, abs=0.05)
+    assert "may leak into the harmonics beside it" in line.explain(8, 24)
 
 
 def test_a_line_too_small_to_matter_is_not_reported():
