@@ -21,6 +21,8 @@ RUN_KEYS = (
 """Settings of a run in the summary."""
 MOST_REPEATED = 2
 """Equal sweeps in a row without a remark: one repetition tells whether the rig is still the same."""
+WEAK_LINE = 0.5
+"""Amplitude of the weakest line over that of the strongest below which the text has a remark on measured responses."""
 SAVED_DIGITS = 6
 """Significant digits of a forecast in the plan."""
 
@@ -154,6 +156,21 @@ def _runs_text(planned: PlannedCampaign) -> Iterator[str]:
         yield f"   {plan.run:<28} {words}{part}"
     for first, last, count in _repeated_runs(planned):
         yield f"   {first} to {last} are {count} times the same run: more `periods` in the hall file make it one record"
+    yield from _weak_lines_text(planned)
+
+
+def _weak_lines_text(planned: PlannedCampaign) -> Iterator[str]:
+    """A remark on measured responses, where the lines of a multisine have far less power than others."""
+    powers = [
+        [part for _, part in item.plan.power]
+        for item in planned.chosen
+        if item.plan.kind == "sweep" and item.plan.power
+    ]
+    weakest = min((math.sqrt(min(power) / max(power)) for power in powers), default=1.0)
+    if weakest < WEAK_LINE:
+        yield f"   The weakest lines have {100 * weakest:.2g} % of the strongest amplitude. `identify` weights them,"
+        yield "   but their coherence in `sweep-tf` is poor: to reduce by measured response, plan with `spectrum: flat`"
+        yield "   in the hall file"
 
 
 def _repeated_runs(planned: PlannedCampaign) -> Iterator[tuple[str, str, int]]:

@@ -15,15 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.run import Run
-from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch, split_by_run
 from balance_cli.estimation.inner_products import information_product
 from balance_cli.estimation.likelihood import batch_curvature, batch_derivatives
-from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
+from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.planning.channel_noise import ChannelNoise
 from balance_cli.planning.extended_model import ExtendedModel
+from balance_cli.planning.rehearsal import rehearse
 from balance_cli.simulation.plans import AnyPlan
 from balance_cli.simulation.signal_store import SignalStore
 
@@ -80,11 +79,6 @@ def _run_name(batch: Batch) -> str:
     return batch.runs[0].name
 
 
-def rehearsed_spectra(run: Run, geometry: Geometry) -> Spectra:
-    """The spectra of a run with its means and waveforms, as a diagnosis computes them."""
-    return measured_spectra([run], geometry, means=True)
-
-
 def planned_information(
     plan: AnyPlan, store: SignalStore, noise: ChannelNoise, model: ExtendedModel, random_seeds: Iterable[int] = (0,)
 ) -> RunInformation:
@@ -94,8 +88,7 @@ def planned_information(
     of lightly damped modes a single rehearsal gives a sigma that is off by a tenth. Raises UserError where a record
     would have no usable lines.
     """
-    records = (store.record(plan, noise, seed) for seed in random_seeds)
-    spectra = (rehearsed_spectra(record, store.rig.geometry) for record in records)
+    spectra = (rehearse(plan, store, noise, seed) for seed in random_seeds)
     parts = [add_information(spectra_information(each, model), model) for each in spectra]
     return mean_information(parts, plan.run)
 

@@ -14,9 +14,9 @@ from balance_cli.planning.information import (
     RunInformation,
     add_information,
     mean_information,
-    rehearsed_spectra,
     spectra_information,
 )
+from balance_cli.planning.rehearsal import rehearse
 from balance_cli.simulation.noise import DeclaredNoise
 from balance_cli.simulation.plans import CampaignPlan, SweepPlan
 from balance_cli.steps.plan import REHEARSALS, PlanningRig, PlanOptions, planning_rig
@@ -65,8 +65,7 @@ def _rehearsed(
     seed: int,
 ) -> ExecutedRun:
     noise = planning_noise(declared, (), plan.sample_rate)
-    rehearsals = [base.signals.record(plan, noise, seed + k) for k in range(REHEARSALS)]
-    records = [rehearsed_spectra(record, base.rig.geometry) for record in rehearsals]
+    records = [rehearse(plan, base.signals, noise, seed + k) for k in range(REHEARSALS)]
     parts = [spectra_information(each, base.model)[0] for each in records]
     planned = mean_information(parts, plan.run)
     lines = next(run for run in spectra.lines if run.run == plan.run)

@@ -45,11 +45,11 @@ from balance_cli.planning.information import (
     band_information,
     mean_information,
     planned_information,
-    rehearsed_spectra,
     spectra_information,
 )
 from balance_cli.planning.levels import LevelLimit, band_response, level_limits, limit_spectra
 from balance_cli.planning.line_power import PowerProblem, band_edges, bands_of_sweep, optimal_powers
+from balance_cli.planning.rehearsal import rehearse
 from balance_cli.planning.result import PlannedCampaign
 from balance_cli.simulation.excitation import Power
 from balance_cli.simulation.plans import AnyPlan, CampaignPlan, Component, SweepPlan
@@ -164,7 +164,7 @@ def line_powers(
         if deadline.is_over:
             return {}
         assert isinstance(item.plan, SweepPlan)
-        spectra = rehearsed_spectra(signals.record(item.plan, base.noise, options.seed), geometry)
+        spectra = rehearse(item.plan, signals, base.noise, options.seed)
         dof = spectra.lines[0].dof
         parts = band_information(spectra, base.model, edges)
         limit = next(each for each in base.limits if each.component == item.plan.excited[0])

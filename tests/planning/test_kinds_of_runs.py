@@ -13,7 +13,7 @@ from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.planning.candidate_runs import candidate_runs
-from balance_cli.planning.channel_noise import ChannelNoise
+from balance_cli.planning.channel_noise import ChannelNoise, measured_noise
 from balance_cli.planning.comparison import information_ratio
 from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.deadline import Deadline
@@ -22,6 +22,7 @@ from balance_cli.planning.extended_model import extended_model
 from balance_cli.planning.hall import Hall, record_settings
 from balance_cli.planning.information import RunInformation, band_information, no_information, spectra_information
 from balance_cli.planning.line_power import BandInformation, PowerProblem, optimal_powers
+from balance_cli.planning.rehearsal import lower_sample_rate, rehearse
 from balance_cli.planning.run_words import condition_words, excitation_words, record_words
 from balance_cli.simulation import NO_NOISE, SweepPlan, simulate_run, true_rig
 from balance_cli.simulation.plans import ForcePoint
@@ -113,6 +114,42 @@ def test_kept_signals_are_those_of_a_simulation_of_their_own():
         assert kept.read().loads == pytest.approx(direct.read().loads, abs=1e-4)
         assert (kept.level, kept.period, kept.sample_rate) == (direct.level, direct.period, direct.sample_rate)
     assert len(store._kept) == 1
+
+
+def test_rehearsal_at_a_lower_rate_has_the_lines_and_the_noise_density_of_the_record():
+    geometry = other_rig("A")
+    store, noise = SignalStore(true_rig(geometry)), ChannelNoise()
+    plan = SweepPlan(
+        run="Fx",
+        excited=("Fx",),
+        level=(30.0,),
+        phases="low-crest",
+        period=1.3,
+        periods=6,
+        band=(4.0, 150.0),
+        sample_rate=2000.0,
+    )
+    fewer, _ = lower_sample_rate(plan, noise)
+    assert fewer.sample_rate * plan.period == pytest.approx(976) and fewer.sample_rate < 0.4 * plan.sample_rate
+    (low,) = rehearse(plan, store, noise, 3).lines
+    (full,) = measured_spectra([store.record(plan, noise, 3)], geometry, means=True).lines
+    assert low.frequency == pytest.approx(full.frequency)
+    # The largest of 2292 differences of two values, each by four periods or more.
+    sigma = (4.0 * noise.piezo**2 / (plan.sample_rate * 4.0 * plan.period)) ** 0.5
+    assert np.abs(low.channels - full.channels).max() < 4.5 * sigma
+    density = [measured_noise([lines], plan.sample_rate) for lines in (low, full)]
+    ratio = [density[0][0][name] / density[1][0][name] for name in geometry.channel_names]
+    # The median variance of the 190 lines of a channel scatters by a few percent.
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.03) and np.ptp(ratio) < 0.3
+    assert density[0][1] == pytest.approx(density[1][1], rel=0.1)
+
+
+def test_only_multisines_of_whole_periods_are_rehearsed_at_a_lower_rate():
+    noise = ChannelNoise()
+    plan = SweepPlan(run="Fx", excited=("Fx",), level=(30.0,), period=1.3, sample_rate=2000.0)
+    for changes in ({"excitation": "random"}, {"period": 1.3002}, {"sample_rate": 740.0, "period": 2.0}):
+        other = plan.model_copy(update=changes)
+        assert lower_sample_rate(other, noise) == (other, noise)
 
 
 def test_bands_add_up_to_the_run():

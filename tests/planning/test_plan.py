@@ -228,6 +228,14 @@ def test_text_says_which_runs_could_be_one_longer_record(short_plan_a):
         assert (remark in text) if remark else ("the same run" not in text)
 
 
+def test_text_says_that_weak_lines_are_poor_for_measured_responses(short_plan_a):
+    first = short_plan_a[0].chosen[0]
+    for power, remark in (((1.0, 0.04), "have 20 % of the strongest"), ((1.0, 0.5), None)):
+        sweep = first.plan.model_copy(update={"power": tuple(zip((5.0, 30.0), power, strict=True))})
+        text = "\n".join(plan_text(replace(short_plan_a[0], chosen=(replace(first, plan=sweep),), loads=None)))
+        assert (remark in text and "spectrum: flat" in text) if remark else "spectrum: flat" not in text
+
+
 def test_noise_of_a_plan_is_that_of_its_rehearsal(short_plan_a):
     planned = short_plan_a[0]
     noise = planning_noise(planned.noise, (), 1.0).scale_by(2.0)
