@@ -46,7 +46,7 @@ EXIT_DISCREPANCY = 3
     default=300.0,
     show_default=True,
     metavar="SECONDS",
-    help="Time after which no further effect is tried; the best model up to then is written, and the notes say so.",
+    help="Computing time after which no effect is tried any more; the best model is written, and the notes say so.",
 )
 @click.option(
     "--suspect",

@@ -275,7 +275,7 @@ class SearchSettings:
     alternative_gap: float = 30.0
     """Difference of chi-square on which an explanation is not yet rejected: the plate, or all lines, may reverse it."""
     time_limit: float = 300.0
-    """Seconds after which no further round begins: the longest that a user is kept waiting for a diagnosis."""
+    """Seconds of computing after which no further round begins: the longest that a user is kept waiting."""
     excluded: tuple[str, ...] = ()
     """Effects (NAME or NAME@PLACE) that are no candidates: by the user, or contradicted by a free simulation."""
     suspected: tuple[str, ...] = ()

@@ -20,9 +20,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.deadline import NO_DEADLINE, Deadline
 from balance_cli.planning.candidate_runs import CandidateRun
 from balance_cli.planning.choices import Aim
-from balance_cli.planning.deadline import NO_DEADLINE, Deadline
 from balance_cli.planning.detectability import InformationRows, information_rows, remaining_diagonal
 from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.planning.hub_loads import LoadForecast, parameter_sigma, total_sigma

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -24,6 +23,7 @@ from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -74,7 +74,8 @@ def diagnose(
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
     diagnosis = judge_drifts(diagnosis)
     if announce.is_over:
-        note = f"the time limit of {settings.time_limit:g} s was reached: this is the best model up to then"
+        limit = f"the time limit of {settings.time_limit:g} s of computing"
+        note = f"{limit} was reached: this is the best model up to then"
         diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note))
     announce("done")
     return diagnosis, updated
@@ -155,12 +156,12 @@ class _Announcer:
 
     def __init__(self, progress: Progress | None, time_limit: float) -> None:
         self._progress, self._count = progress, 0
-        self._end = time.monotonic() + time_limit
+        self._deadline = Deadline(time_limit)
 
     @property
     def is_over(self) -> bool:
         """Whether the time limit has been reached."""
-        return time.monotonic() >= self._end
+        return self._deadline.is_over
 
     def __call__(self, text: str) -> bool:
         self._count += 1

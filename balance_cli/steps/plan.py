@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import takewhile
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.deadline import NO_DEADLINE, Deadline
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
@@ -17,7 +18,6 @@ from balance_cli.planning.candidate_runs import CandidateRun, by_turns, candidat
 from balance_cli.planning.channel_noise import ChannelNoise, planning_noise
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.confusion import confused_pairs
-from balance_cli.planning.deadline import NO_DEADLINE, Deadline
 from balance_cli.planning.design import Design, Problem, choose_runs, rank_runs
 from balance_cli.planning.detectability import DetectionLevel
 from balance_cli.planning.extended_model import ExtendedModel, extended_model

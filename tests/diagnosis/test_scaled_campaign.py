@@ -67,7 +67,7 @@ def test_after_the_time_limit_the_best_model_so_far_is_returned_and_said_to_be_t
     made, _ = diagnose(identify(measured_spectra(recorded, ONE), ONE), spectra, settings=hasty)
     assert made.verdict == UNEXPLAINED
     assert made.chi2_per_dof_after <= made.chi2_per_dof_before
-    assert any("time limit of 0 s" in note for note in made.notes)
+    assert any("time limit of 0 s of computing" in note for note in made.notes)
     assert any("before its refit" in trial.reason for trial in made.trials)
 
 
