@@ -19,6 +19,7 @@ from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.reduction.turned_harmonics import turn_warnings
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps.cross_checks import (
     compare_static_response,
@@ -88,18 +89,32 @@ def reduce(
     fewer = ""
     if harmonics is None:
         harmonics, fewer = _harmonics(used, geometry, source, rotor)
-    if method == "harmonic":
-        options = ReduceOptions(harmonics, rotor)
-        loads = [reduce_run(run, geometry, calibration, source, reference, options) for run in used]
-    else:
-        if rotor != 1:
-            raise UserError("does not go with a method in time", "rotor", remedy="Use method `harmonic`")
-        in_time = TimeOptions(method == "smoother", load_model, lag, harmonics)
-        loads = [_reduce_in_time(run, geometry, calibration, source, reference, in_time) for run in used]
+    if method != "harmonic" and rotor != 1:
+        raise UserError("does not go with a method in time", "rotor", remedy="Use method `harmonic`")
+    in_time = TimeOptions(method == "smoother", load_model, lag, harmonics)
+    options = ReduceOptions(harmonics, rotor) if method == "harmonic" else in_time
+    loads = [_reduce_run(run, geometry, calibration, source, reference, options) for run in used]
     reduced = flag_contradicted_runs({run.run: run for run in loads}, findings)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
     warnings = sorted({*earlier, *filter(None, [fewer]), *_warnings(findings, records, loads)})
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
+
+
+def _reduce_run(
+    run: Run,
+    geometry: Geometry,
+    calibration: Calibration | None,
+    source: ResponseSource,
+    zero: ZeroRecord | None,
+    options: ReduceOptions | TimeOptions,
+) -> RunLoads:
+    """Loads of one run by the method of the options. An error that names no file is that of the run."""
+    try:
+        if isinstance(options, TimeOptions):
+            return _reduce_in_time(run, geometry, calibration, source, zero, options)
+        return reduce_run(run, geometry, calibration, source, zero, options)
+    except UserError as error:
+        raise error.with_file_of(run.name, str(run.path or run.name)) from error
 
 
 def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, rotor: int) -> tuple[int, str]:
@@ -114,8 +129,9 @@ def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, 
 def _warnings(
     findings: Sequence[ConsistencyFinding], records: Sequence[Run], loads: Sequence[RunLoads]
 ) -> Iterator[str]:
-    """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out."""
+    """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out, loads turned."""
     yield from (finding.sentence for finding in findings)
+    yield from turn_warnings(loads)
     yield from (f"{run.name}: {describe_gaps(run)}" for run in records if describe_gaps(run))
     for run in loads:
         yield from (f"{run.run}: channel {channel} left out: {reason}" for channel, reason in run.left_out.items())

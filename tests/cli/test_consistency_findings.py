@@ -57,6 +57,16 @@ def test_a_warning_about_the_sweeps_reaches_the_loads(folder: Path) -> None:
     assert flags.str.contains("model contradicted").all()
     assert together["runs"]["check-1"]["flags"]["model contradicted"] == len(flags)
 
+    result = CliRunner().invoke(
+        balance,
+        [
+            *("reduce", "--transfer", str(transfer), str(folder / "check-1.h5"), "--harmonics", "20"),
+            *("-o", str(folder / "beyond.csv")),
+        ],
+    )
+    assert result.exit_code == 2
+    assert f"{folder / 'check-1.h5'}: the response to Fx was measured from" in result.output
+
 
 def test_only_what_changes_loads_flags_them() -> None:
     assert contradicts_loads(DIFFERENT_RIG, in_all_runs=False)

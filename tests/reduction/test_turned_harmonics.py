@@ -1,15 +1,19 @@
-"""Wind runs with the pulses of another edge are named beside a run with loads like theirs, and no others."""
+"""Wind runs with the pulses of another edge, or all channels reversed, are named beside a run like them; no others."""
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import balance_cli as bal
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.reduction.result import RunLoads
-from balance_cli.reduction.turned_harmonics import common_turn, turn_warnings
+from balance_cli.reduction.turned_harmonics import common_turn, is_reversed, turn_warnings
 
+ROOT = Path(__file__).parents[2]
 COUNT = 9
 
 
@@ -81,3 +85,40 @@ def test_of_equal_angles_of_a_rotor_with_eight_blades_the_smallest_is_meant():
     sigma = np.full(loads.shape, 0.01)
     run = replace(a_run(loads), sigma_cosine=sigma, sigma_sine=sigma)
     assert common_turn(run, run) == 0.0
+
+
+def test_harmonics_of_the_opposite_sign_are_no_turn_but_reversed_channels():
+    rng = np.random.default_rng(5)
+    loads = random_loads(rng)
+    runs = [a_run(sign * changed(loads, 0.2, 0.0, rng), f"wind-{k}") for k, sign in enumerate((1, -1, -1, 1))]
+    assert [text.partition(":")[0] for text in turn_warnings(runs)] == ["wind-1", "wind-3"]
+    assert all("opposite sign" in text for text in turn_warnings(runs))
+    no_mean = [replace(run, amplitude=np.vstack([np.full((1, 6), np.nan), run.amplitude[1:]])) for run in runs]
+    assert is_reversed(*no_mean[:2])
+    even = np.exp(1j * np.pi * np.arange(COUNT))[:, None]  # half a revolution: even harmonics keep their sign
+    assert not is_reversed(a_run(loads), a_run(loads * even))
+
+
+def test_mean_loads_of_the_opposite_sign_tell_only_where_harmonics_do_not():
+    rng = np.random.default_rng(6)
+    loads, other = random_loads(rng), random_loads(rng)
+    other[0] = -loads[0]
+    assert is_reversed(a_run(loads), a_run(other))
+    assert not is_reversed(a_run(loads), a_run(np.vstack([-loads[:1], loads[1:]])))
+    unclear = replace(a_run(other), sigma_cosine=np.full((COUNT, 6), 100.0))
+    assert not is_reversed(a_run(loads), unclear)
+
+
+def test_a_measured_wind_run_with_all_channels_reversed_is_named_and_sound_ones_are_not():
+    geometry = bal.read_geometry(ROOT / "configs/rts-6.yaml")
+    calibration = bal.calibrate(ROOT / "sample_data/static-bare.h5", geometry)
+    first, second, third = (bal.read_run(ROOT / f"sample_data/wind-{k}.h5") for k in (1, 2, 3))
+    source = MemorySource(-second.read().channels, None)
+    runs = [first, second, replace(second, name="wind-4", source=source), third]
+    loads = bal.reduce(runs, calibration, "static", harmonics=3)
+    assert not list(turn_warnings(run for name, run in loads.runs.items() if name != "wind-4"))
+    said = [text for text in loads.warnings or () if "opposite sign" in text]
+    assert [text.partition(" with")[0] for text in said] == [
+        "wind-3: its loads are those of wind-4",
+        "wind-4: its loads are those of wind-2",
+    ]

@@ -116,9 +116,8 @@ def _check_frequency_range(response: FrequencyResponse, query_frequency: Array) 
     outside = query_frequency[(query_frequency < lines[0] - slack) | (query_frequency > lines[-1] + slack)]
     if outside.size:
         raise UserError(
-            f"the response to {', '.join(response.components)} was measured from {lines[0]:g} to {lines[-1]:g} Hz, "
-            f"not at {outside[0]:g} Hz",
-            f"run {response.run}",
+            f"the response to {', '.join(response.components)} was measured from {lines[0]:g} to {lines[-1]:g} Hz "
+            f"({response.run}), not at {outside[0]:g} Hz",
             remedy="Extend the sweep, or request fewer harmonics",
         )
 
