@@ -36,6 +36,12 @@ SPECTRUM_COLUMNS = (
 
 NEIGHBORS_REJECTED = 2.0
 """Frequencies that one excursion of the noise rejects: neighbors within the bandwidth of the window go together."""
+CORRELATED_BANDWIDTH = 1.33
+"""Of the noise bandwidth: over so much frequency the random error of a density is one number.
+
+It is the statistical bandwidth of the Blackman-Harris window, 2.8 bins at full overlap, less the excess of the variance
+at an overlap of two thirds, so that a mean square has the variance of a record of that length and bandwidth.
+"""
 DENSITY_UNITS = {"N": "N2/Hz", "N m": "(N m)2/Hz"}
 """Unit of a spectral density for each unit of a load."""
 
@@ -73,8 +79,11 @@ class RunSpectra(ResultView):
         """{component: rms of the load within the band and its sigma}, noise of the channels included."""
         step = float(np.mean(np.diff(self.frequency_hz)))
         square = step * self.density.sum(axis=0)
-        # Neighboring bins of the window are correlated over its noise bandwidth.
-        spread = np.sqrt(step * self.resolution_hz * np.sum(self.sigma**2, axis=0))
+        # The random error differs from frequency to frequency; that of the response may be the same at all of them.
+        random = self.density**2 / self.averages
+        common = step * np.sqrt(np.maximum(self.sigma**2 - random, 0.0)).sum(axis=0)
+        width = CORRELATED_BANDWIDTH * self.resolution_hz
+        spread = np.hypot(np.sqrt(step * width * random.sum(axis=0)), common)
         rms = np.sqrt(np.maximum(square, 0.0))
         return {name: (float(rms[i]), float(spread[i] / (2.0 * rms[i]))) for i, name in enumerate(self.components)}
 
