@@ -136,7 +136,11 @@ def plan_text(planned: PlannedCampaign) -> Iterator[str]:
         yield "the time limit came first: not all runs of the hall were tried, or the forecast has fewer rehearsals"
     if planned.made:
         yield f"already made: {', '.join(planned.made)}"
-    yield "Largest level of each component:"
+    shaped = any(item.plan.kind == "sweep" and item.plan.power for item in planned.chosen)
+    remark = (
+        " with lines of equal power (those of the runs below have power, and levels, of their own)" if shaped else ""
+    )
+    yield f"Largest level of each component{remark}:"
     for limit in planned.limits:
         yield f"   {limit.component}  {limit.level:10.4g} rms, limited by the {limit.reason}"
     yield from _runs_text(planned)
@@ -149,14 +153,41 @@ def _runs_text(planned: PlannedCampaign) -> Iterator[str]:
     from balance_cli.planning.run_words import condition_words, excitation_words, level_words, record_words
 
     yield "Runs, in this order:"
-    for i, item in enumerate(planned.chosen):
-        plan = item.plan
-        part = "" if planned.loads is None else f"  parameters' part of load sigma x {planned.loads.by_run[i]:.3g}"
-        words = f"{excitation_words(plan):<10} {level_words(plan):>12} {condition_words(plan)} {record_words(plan):>9}"
-        yield f"   {plan.run:<28} {words}{part}"
-    for first, last, count in _repeated_runs(planned):
-        yield f"   {first} to {last} are {count} times the same run: more `periods` in the hall file make it one record"
+    for first, last in _equal_runs(planned):
+        count = last - first + 1
+        for i in range(first, last + 1) if count <= MOST_REPEATED else (last,):
+            plan = planned.chosen[i].plan
+            part = "" if planned.loads is None else f"  parameters' part of load sigma x {planned.loads.by_run[i]:.3g}"
+            words = (
+                f"{excitation_words(plan):<10} {level_words(plan):>12} {condition_words(plan)} {record_words(plan):>9}"
+            )
+            yield f"   {plan.run:<28} {words}{part}"
+        if count > MOST_REPEATED and plan.kind == "sweep":
+            name = planned.chosen[first].plan.run
+            yield f"      {name} to {plan.run} are {count} times the same run: with {count * plan.periods} among"
+            yield "      the `periods` of the hall file they can be one record"
+    yield from _missing_sweeps_text(planned)
     yield from _weak_lines_text(planned)
+
+
+def _equal_runs(planned: PlannedCampaign) -> Iterator[tuple[int, int]]:
+    """First and last index of consecutive sweeps that differ in their names alone; other runs are single."""
+    from itertools import groupby
+
+    chosen = [item.plan for item in planned.chosen]
+    plans = [plan.model_dump_json(exclude={"run"} if plan.kind == "sweep" else None) for plan in chosen]
+    for _, group in groupby(range(len(plans)), plans.__getitem__):
+        indices = list(group)
+        yield indices[0], indices[-1]
+
+
+def _missing_sweeps_text(planned: PlannedCampaign) -> Iterator[str]:
+    """A remark on the components that could be swept, but are not; runs already made may have them."""
+    swept = {name for item in planned.chosen if item.plan.kind == "sweep" for name in item.plan.excited}
+    missing = [limit.component for limit in planned.limits if limit.component not in swept]
+    if missing and not planned.made:
+        yield f"   No sweep of {', '.join(missing)}: for a model (`identify`) other runs tell more in this time."
+        yield "   A measured response (`sweep-tf`, `reduce --transfer`) needs a sweep of each component"
 
 
 def _weak_lines_text(planned: PlannedCampaign) -> Iterator[str]:
@@ -171,17 +202,6 @@ def _weak_lines_text(planned: PlannedCampaign) -> Iterator[str]:
         yield f"   The weakest lines have {100 * weakest:.2g} % of the strongest amplitude. `identify` weights them,"
         yield "   but their coherence in `sweep-tf` is poor: to reduce by measured response, plan with `spectrum: flat`"
         yield "   in the hall file"
-
-
-def _repeated_runs(planned: PlannedCampaign) -> Iterator[tuple[str, str, int]]:
-    """First, last and number of consecutive sweeps that differ in their names alone."""
-    from itertools import groupby
-
-    plans = [item.plan for item in planned.chosen if item.plan.kind == "sweep"]
-    for _, group in groupby(plans, lambda plan: plan.model_dump_json(exclude={"run"})):
-        names = [plan.run for plan in group]
-        if len(names) > MOST_REPEATED:
-            yield names[0], names[-1], len(names)
 
 
 def _effects_text(planned: PlannedCampaign) -> Iterator[str]:

@@ -228,6 +228,17 @@ def test_text_says_which_runs_could_be_one_longer_record(short_plan_a):
         assert (remark in text) if remark else ("the same run" not in text)
 
 
+def test_text_names_components_without_a_sweep(short_plan_a):
+    planned = short_plan_a[0]
+    swept = {name for item in planned.chosen for name in item.plan.excited}
+    missing = [limit.component for limit in planned.limits if limit.component not in swept]
+    text = "\n".join(plan_text(replace(planned, chosen=planned.chosen[:1], loads=None)))
+    kept = planned.chosen[0].plan.excited[0]
+    others = ", ".join(limit.component for limit in planned.limits if limit.component != kept)
+    assert f"No sweep of {others}:" in text
+    assert ("No sweep of" in "\n".join(plan_text(planned))) == bool(missing)
+
+
 def test_text_says_that_weak_lines_are_poor_for_measured_responses(short_plan_a):
     first = short_plan_a[0].chosen[0]
     for power, remark in (((1.0, 0.04), "have 20 % of the strongest"), ((1.0, 0.5), None)):
