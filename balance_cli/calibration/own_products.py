@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
 from balance_cli.calibration.term_support import MIN_APPLIED_LOAD
 from balance_cli.calibration.terms import Term
+from balance_cli.calibration.untested_products import MIN_NAMED_PRODUCT, gain_like_products
 
 Mask = NDArray[np.bool_]
 
 MAX_PRODUCT = 0.1
 """Product of two full loads over the largest linear response of the channel: interactions above it are a fault."""
-MIN_NAMED_PRODUCT = 0.01
-"""Product from which it is named: below a gain error of 1 % no load series is suspected of a fault."""
 MOST_NAMED = 3
 """Products that a note names."""
 MAX_RESIDUAL_RATIO = 3.0
@@ -63,17 +62,15 @@ def own_product_notes(points: CalibrationPoints, fit: CalibrationModelFit) -> It
     """What the model takes for products of loads that one load series tells each, and what else they may be."""
     model, used = fit.model, np.asarray(np.isfinite(fit.residuals).all(axis=1))
     largest = np.max(np.abs(model.coefficients[: len(points.components)]), axis=0)
-    sizes: dict[str, float] = {}
-    for name in np.unique(points.load_series[used]).tolist():
-        rows = (points.load_series == name) & used
-        for place, term in enumerate(model.parsed_terms):
-            if not term.single_load and _is_own(points, rows, term):
-                sizes[model.terms[place]] = float(np.max(np.abs(model.coefficients[place]) / largest))
+    sizes = {
+        model.terms[place]: float(np.max(np.abs(model.coefficients[place]) / largest))
+        for place in gain_like_products(model, points.x[used], points.load_series[used])
+    }
     order = sorted((term for term, size in sizes.items() if size > MIN_NAMED_PRODUCT), key=lambda term: -sizes[term])
     if order:
         named = ", ".join(f"{term} ({100.0 * sizes[term]:.2g} % of the linear response)" for term in order[:MOST_NAMED])
         more = f" and {len(order) - MOST_NAMED} more" if len(order) > MOST_NAMED else ""
         yield (
             f"products that rest on one load series each: {named}{more}; a wrong gain in that series would look the "
-            "same. Apply these loads together in a further series"
+            "same, and sigma of these loads together contains both. Apply them together in a further series"
         )

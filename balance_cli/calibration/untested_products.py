@@ -6,6 +6,10 @@ cause together. A channel that curves with its own signal s, by q s^2, has the s
 of zero mean, with PRODUCT_OVER_SQUARE times the rms of the channel's nonlinear parts as its standard deviation. What
 the schedule tells of it is combined with that by Bayes' rule; a product that would have been found is tested.
 A model without nonlinear terms has no such products: no load says that the balance is not linear.
+
+A product of a varied load with one that hangs changes the gain of a channel. Where one load series alone has both, a
+wrong gain in that series looks the same: the product is real or it is zero, and nothing says which. With even odds the
+mean square error of the fitted coefficient b is b^2/2, and the 95 % interval, 1.4 b to both sides, contains both.
 """
 
 from __future__ import annotations
@@ -19,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.least_squares import subtract_block_means
 from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
-from balance_cli.calibration.terms import linear_terms, term_values
+from balance_cli.calibration.term_support import MIN_APPLIED_LOAD
+from balance_cli.calibration.terms import Term, linear_terms, term_values
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -32,6 +37,13 @@ LEVELS = np.linspace(-1.0, 1.0, 9)
 """Loads over their range at which the nonlinear part of a channel is taken: the steps of usual load series."""
 MOST_NAMED = 3
 """Products that a sentence names."""
+MIN_NAMED_PRODUCT = 0.01
+"""Product of two full loads over the largest linear response from which it may be a gain error of its load series.
+
+Below a gain error of 1 % no load series is suspected of a fault, and most balances have such products.
+"""
+MIN_CURVED_SHARE = 0.1
+"""Part of a product within its load series that the loads must not explain: then no gain error looks like it."""
 MIN_SIGMA_GROWTH = 1.1
 """Growth of sigma from which a load is outside the tested combinations: a tenth is what sigma itself is known to."""
 
@@ -90,7 +102,8 @@ def find_untested_products(model: CalibrationModel, loads: Array, load_series: I
     gain = information[:, None] * prior / scale
     is_open = (gain < FOUND_FROM**2) & ~_has_product(model, pairs)
     variance = np.where(is_open, prior / (1.0 + gain), 0.0)
-    some = is_open.any(axis=1)
+    variance += _gain_like_variance(model, loads / model.calibrated_range, load_series, pairs)
+    some = (variance > 0.0).any(axis=1)
     if not some.any():
         return None
     return UntestedProducts(model.components, pairs[some], variance[some], model.calibrated_range)
@@ -126,6 +139,44 @@ def _information(model: CalibrationModel, loads: Array, block: Index, pairs: Ind
     products = subtract_block_means(x[:, pairs[:, 0]] * x[:, pairs[:, 1]], block)
     left = products - basis @ np.linalg.lstsq(basis, products, rcond=None)[0]
     return np.asarray(np.sum(left**2, axis=0))
+
+
+def gain_like_products(model: CalibrationModel, x: Array, load_series: Index) -> list[int]:
+    """Indices of the terms of two loads that a wrong gain in the one load series that tells them would look like.
+
+    `x` (m, k): loads of the rows that were fitted, over their calibrated range. A single load series has no such terms:
+    there is no gain but its own.
+    """
+    applied = np.abs(x) > MIN_APPLIED_LOAD
+    return [
+        place
+        for place, term in enumerate(model.parsed_terms)
+        if not term.single_load
+        and len(own := np.unique(load_series[applied[:, term.i] & applied[:, term.j]])) == 1
+        and np.any(load_series != own[0])
+        and _is_linear_in(x[load_series == own[0]], term)
+    ]
+
+
+def _is_linear_in(x: Array, term: Term) -> bool:
+    """Whether zero and loads x (m, k) explain a term in these rows, as where one of its loads hangs."""
+    values = term_values((term,), x)
+    change = values - values.mean(axis=0)
+    centered = x - x.mean(axis=0)
+    left = change - centered @ np.linalg.lstsq(centered, change, rcond=None)[0]
+    return bool(np.linalg.norm(left) <= MIN_CURVED_SHARE * np.linalg.norm(change))
+
+
+def _gain_like_variance(model: CalibrationModel, x: Array, load_series: Index, pairs: Index) -> Array:
+    """Variance (q, c) [V2] of the products that may be a gain error of their load series: half of their square."""
+    variance = np.zeros((len(pairs), len(model.channel_names)))
+    number = {tuple(pair): q for q, pair in enumerate(pairs.tolist())}
+    largest = np.max(np.abs(model.coefficients[: len(model.components)]), axis=0)
+    for place in gain_like_products(model, x, load_series):
+        size = np.abs(model.coefficients[place])
+        doubtful = np.where(size > MIN_NAMED_PRODUCT * largest, 0.5 * size**2, 0.0)
+        variance[number[model.parsed_terms[place].loads]] += doubtful
+    return variance
 
 
 def _has_product(model: CalibrationModel, pairs: Index) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import hold_out_option
+from balance_cli.cli.options import NumberRange, hold_out_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 
@@ -42,7 +42,7 @@ EXIT_DISCREPANCY = 3
 )
 @click.option(
     "--time-limit",
-    type=click.FloatRange(min=0.0),
+    type=NumberRange(min=0.0),
     default=300.0,
     show_default=True,
     metavar="SECONDS",

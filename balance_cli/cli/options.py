@@ -76,6 +76,17 @@ class OutputFolder(_UsablePath):
         super().__init__(path_type=Path)
 
 
+class NumberRange(click.FloatRange):
+    """A range of numbers that `nan`, which compares with no limit, is not in."""
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Convert the word to a number. Fails where it is `nan` or out of the range."""
+        number = super().convert(value, parameter, context)
+        if math.isnan(number):
+            self.fail(f"{number} is not a number", parameter, context)
+        return number
+
+
 geometry_option: Callable[[F], F] = click.option(
     "-g", "--geometry", "geometry", type=InputFile(), required=True, metavar="GEOMETRY", help="Geometry of the rig."
 )

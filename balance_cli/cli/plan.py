@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from balance_cli.cli.common import Session, balance_command, geometry_option, skip_bad_option
-from balance_cli.cli.options import InputFile, OutputFile
+from balance_cli.cli.options import InputFile, NumberRange, OutputFile
 from balance_cli.cli.plan_static import plan_static
 from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.io.errors import UserError
@@ -43,7 +43,7 @@ class PlanFiles:
 @geometry_option
 @click.argument("files", type=InputFile(), nargs=-1, metavar="[MODEL] [RUN...]")
 @click.option(
-    "--minutes", type=click.FloatRange(0, MOST_MINUTES, min_open=True, max_open=True), help="Hall time to be planned."
+    "--minutes", type=NumberRange(0, MOST_MINUTES, min_open=True, max_open=True), help="Hall time to be planned."
 )
 @click.option(
     "--hall", type=InputFile(), metavar="HALL", help="What the hall allows: exciters, ranges, times (YAML, see files)."
@@ -57,7 +57,7 @@ class PlanFiles:
 )
 @click.option(
     "--level",
-    type=click.FloatRange(min=0, max=1, min_open=True, max_open=True),
+    type=NumberRange(min=0, max=1, min_open=True, max_open=True),
     default=SIGNIFICANCE_LEVEL,
     show_default=True,
     help="False-alarm level of a diagnosis, for all candidate effects together.",
@@ -72,7 +72,7 @@ class PlanFiles:
 )
 @click.option(
     "--time-limit",
-    type=click.FloatRange(min=0, min_open=True, max=1e6),
+    type=NumberRange(min=0, min_open=True, max=1e6),
     metavar="SECONDS",
     help="Finish with the best plan of the runs that were tried in so many seconds of computing.",
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import Session, balance_command, geometry_option
-from balance_cli.cli.options import OutputFolder, deprecated_option
+from balance_cli.cli.options import NumberRange, OutputFolder, deprecated_option
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ LARGEST_NOISE = 1e6
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random numbers.")
 @click.option(
     "--noise",
-    type=click.FloatRange(min=0),
+    type=NumberRange(min=0),
     default=1.0,
     show_default=True,
     help="Noise, times that of the plan or of the recorded campaign; 0 leaves rounding out too.",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.common import Session
-from balance_cli.cli.options import InputFile
+from balance_cli.cli.options import InputFile, NumberRange
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+COORDINATE = NumberRange(-1e3, 1e3)
+"""Distance from the origin of the rig axes [m] along one of them: no rig is larger than a kilometer."""
 
 units_option: Callable[[F], F] = click.option(
     "--units",
@@ -28,7 +31,7 @@ units_option: Callable[[F], F] = click.option(
 moment_center_option: Callable[[F], F] = click.option(
     "--moment-center",
     "moment_center",
-    type=(float, float, float),
+    type=(COORDINATE, COORDINATE, COORDINATE),
     metavar="X Y Z",
     help="Point [m, rig axes] about which the moments of the tables are taken; default: the hub.",
 )

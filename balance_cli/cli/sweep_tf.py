@@ -16,7 +16,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import check_band
+from balance_cli.cli.options import NumberRange, check_band
 from balance_cli.io.formats import TRANSFER_FORMAT
 from balance_cli.signals.response.choices import ESTIMATORS
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="auto: ratio of lines for periodic sweeps, local rational model (lrm) for others; lpm: local polynomial.",
 )
-@click.option("--from", "lowest", type=click.FloatRange(min=0), metavar="HZ", help="Lowest frequency wanted.")
-@click.option("--to", "highest", type=click.FloatRange(min=0), metavar="HZ", help="Highest frequency wanted.")
+@click.option("--from", "lowest", type=NumberRange(min=0), metavar="HZ", help="Lowest frequency wanted.")
+@click.option("--to", "highest", type=NumberRange(min=0), metavar="HZ", help="Highest frequency wanted.")
 @runs_argument
 @skip_bad_option
 @output_option("TF")

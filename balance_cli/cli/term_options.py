@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.common import Session
+from balance_cli.cli.options import NumberRange
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ terms_option: Callable[[F], F] = click.option(
 )
 significance_option: Callable[[F], F] = click.option(
     "--significance",
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    type=NumberRange(0.0, 1.0, min_open=True, max_open=True),
     metavar="P",
     help="Probability of any spurious term in the balance, for `--terms search`. Default: 0.01.",
 )

@@ -9,7 +9,7 @@ import click
 
 from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
-from balance_cli.cli.options import InputFolder
+from balance_cli.cli.options import InputFolder, NumberRange
 from balance_cli.cli.reduce_inputs import read_calibration, read_response, read_zero
 from balance_cli.io.errors import UserError
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record.  [default: the newest zero run in DIR]")
 @click.option("--harmonics", type=click.IntRange(1, 64), help="Highest rotor harmonic.  [default: as reduce]")
 @click.option(
-    "--every", type=click.FloatRange(0.05, 3600), default=0.5, show_default=True, help="Seconds between two looks."
+    "--every", type=NumberRange(0.05, 3600), default=0.5, show_default=True, help="Seconds between two looks."
 )
 @click.option("--once", is_flag=True, help="End when all files that are there are done.")
-@click.option("--idle", type=click.FloatRange(0.1), metavar="SECONDS", help="End when nothing new came for so long.")
+@click.option("--idle", type=NumberRange(0.1), metavar="SECONDS", help="End when nothing new came for so long.")
 @click.option(
     "--page-runs", type=click.IntRange(1, 1000), default=12, show_default=True, help="Newest runs on the page."
 )

@@ -5,6 +5,7 @@ import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.untested_products import gain_like_products
 from balance_cli.campaign.rig.components import COMPONENTS
 
 NOISE, ROWS = 3e-4, 6
@@ -18,11 +19,15 @@ def loads():
     return np.vstack([*parts, *(np.vstack([np.zeros(3), part]) for part in beside)])
 
 
-def calibrated(change):
+def calibrated(change, x=None, series=None):
     """A calibration of three loads on four channels, with changed readings of its loads x (m, 3) and series (m,)."""
     rng = np.random.default_rng(4)
-    x, series = loads(), np.repeat(np.arange(9), ROWS)
-    read = x @ rng.normal(size=(3, 4)) + 5e-3 * rng.normal(size=(9, 4))[series] + NOISE * rng.normal(size=(len(x), 4))
+    x, series = (loads(), np.repeat(np.arange(9), ROWS)) if x is None else (x, series)
+    read = (
+        x @ rng.normal(size=(3, 4))
+        + 5e-3 * rng.normal(size=(series[-1] + 1, 4))[series]
+        + NOISE * rng.normal(size=(len(x), 4))
+    )
     read = change(read, x, series)
     names = tuple(f"g{c + 1}" for c in range(4))
     return calibrate_all_trims(
@@ -40,6 +45,11 @@ def test_a_product_that_one_series_shows_is_fitted_and_named(size):
     assert whole.model.channel_coefficients("g1")["Fy Fz"] == pytest.approx(size, abs=3e-3)
     (note,) = whole.screening_notes
     assert note.startswith("products that rest on one load series each: Fy Fz (")
+    # A wrong gain of that series looks the same: sigma of both loads together contains the product and none.
+    untested = whole.untested_products
+    variance = untested.reading_variance([[0.0, 0.8, 0.7]])[0]
+    assert np.sqrt(variance[0]) == pytest.approx(0.56 * size / np.sqrt(2.0), rel=0.15)
+    assert untested.names([0.0, 0.8, 0.7])[0] == "Fy Fz"
 
 
 def test_a_gain_beyond_any_product_is_a_fault_and_the_product_is_told_by_excluded_rows_only():
@@ -51,3 +61,12 @@ def test_a_gain_beyond_any_product_is_a_fault_and_the_product_is_told_by_exclude
     assert {suspect.channel for suspect in whole.suspect_series} == {"g1"}
     assert whole.model.unsupported_terms["Fy Fz"] == "Fy and Fz were loaded together in excluded rows only"
     assert whole.outliers == ()
+
+
+def test_products_of_poses_look_like_no_gain():
+    """All loads at once, in one series beside others or alone: no gain error changes with the products of its loads."""
+    poses = np.random.default_rng(2).uniform(-1.0, 1.0, (40, 3))
+    for x in (poses, np.vstack([loads()[: 6 * ROWS], poses])):
+        series = np.r_[np.repeat(np.arange(6), ROWS), np.full(40, 6)][-len(x) :]
+        model = calibrated(lambda read, x, _: read + 0.05 * x[:, [1]] * x[:, [2]], x, series).model
+        assert "Fy Fz" in model.terms and gain_like_products(model, x / model.calibrated_range, series) == []

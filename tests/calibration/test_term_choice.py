@@ -170,6 +170,7 @@ def test_calls_that_cannot_be_meant(folder):
     assert "Is it `N^2`?" in run(folder, "--terms", "N^22", status=2)
     assert "is no file, and no term" in run(folder, "--terms", "none/terms.txt", status=2)
     assert "without a search" in run(folder, "--terms", "linear", "--significance", "0.1", status=2)
+    assert "nan is not a number" in run(folder, "--significance", "nan", status=2)
     poses = np.random.default_rng(2).uniform(-1.0, 1.0, (10, 3))
     lines = ["A [N],N [N],Pm [N m],B1 [mV/V],B2 [mV/V],B3 [mV/V]"]
     lines += [",".join(f"{value:.5f}" for value in (*pose, *pose)) for pose in poses]
