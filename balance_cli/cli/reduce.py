@@ -17,7 +17,7 @@ from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, r
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.cli.reduce_spectra import check_band_options, reduce_to_spectra
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.choices import FREQUENCIES, INTERPOLATIONS, LOAD_MODELS, METHODS
+from balance_cli.reduction.choices import FREQUENCIES, INTERPOLATIONS, LOAD_MODELS, METHODS, MOST_HARMONICS
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--harmonics",
-    type=click.IntRange(1, 64),
+    type=click.IntRange(1, MOST_HARMONICS),
     help="Highest rotor harmonic.  [default: a multiple of the blades, at least two, at least 8, within the band]",
 )
 @click.option(

@@ -12,6 +12,7 @@ from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.options import InputFolder, NumberRange
 from balance_cli.cli.reduce_inputs import read_calibration, read_response, read_zero
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.choices import MOST_HARMONICS
 
 if TYPE_CHECKING:
     from balance_cli.cli.watching.watch import Watch
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
 @click.option("--model", type=InputFile(), metavar="MODEL", help="Response from this model.")
 @click.option("--transfer", type=InputFile(), metavar="TF", help="Response as measured, interpolated.")
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record.  [default: the newest zero run in DIR]")
-@click.option("--harmonics", type=click.IntRange(1, 64), help="Highest rotor harmonic.  [default: as reduce]")
+@click.option(
+    "--harmonics", type=click.IntRange(1, MOST_HARMONICS), help="Highest rotor harmonic.  [default: as reduce]"
+)
 @click.option(
     "--every", type=NumberRange(0.05, 3600), default=0.5, show_default=True, help="Seconds between two looks."
 )

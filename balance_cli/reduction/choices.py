@@ -22,3 +22,5 @@ INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
 
 TABLE_SUFFIXES = (".csv", ".h5")
 """File names of a table of loads end so."""
+MOST_HARMONICS = 64
+"""Highest harmonic that can be asked for: the eighth multiple of eight blades."""

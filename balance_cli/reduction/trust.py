@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.channel_pairs import PairContradiction, contradicted_pairs
+from balance_cli.reduction.choices import MOST_HARMONICS
 from balance_cli.reduction.flags import (
     FILTER_CONTRADICTED,
     MODEL_CONTRADICTED,
@@ -68,7 +69,7 @@ class Trust:
     def notes(self) -> tuple[str, ...]:
         """The lines and the pairs of channels in words."""
         n = len(self.untested) - 1
-        lines = (line.explain(n, self.regressed) for line in self.lines)
+        lines = (line.explain(n, self.regressed) + _remedy(line) for line in self.lines)
         return (*lines, *(pair.description for pair in self.pairs))
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
@@ -85,6 +86,12 @@ class Trust:
             UNMODELLED_LINE if (self.lines and h) or h in self.confounded else "",
             MODEL_CONTRADICTED if self.contradicted[h, j] else "",
         )
+
+
+def _remedy(line: UnmodelledLine) -> str:
+    """What reduces a harmonic of the rotor too; no remedy for a tone, nor beyond what can be asked for."""
+    within_reach = line.turns_with_rotor and line.order <= MOST_HARMONICS
+    return f"; --harmonics {line.order:.0f} reduces it too" if within_reach else ""
 
 
 def assess_trust(

@@ -72,7 +72,7 @@ def test_a_step_of_the_mean_load_is_not_steady(campaign, calibration, identified
 def test_a_line_above_the_reduced_harmonics_flags_the_run(campaign, calibration, identified, check):
     found = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=ReduceOptions(3))
     assert all("unmodelled line" in flag for row in found.flags[1:] for flag in row)
-    assert any("4/rev" in note and "harmonics 1 to 3 are free of it" in note for note in found.notes)
+    assert any("4/rev" in note and "1 to 3 are free of it; --harmonics 4" in note for note in found.notes)
     more = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=ReduceOptions(8))
     np.testing.assert_allclose(found.amplitude, more.amplitude[:4], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.sigma_cosine[1:], more.sigma_cosine[1:4], rtol=0.05)

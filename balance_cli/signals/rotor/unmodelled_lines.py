@@ -63,10 +63,9 @@ class UnmodelledLine:
         """Return the line in words, and what it does to harmonics 1 to `n` of a regression of `regressed` harmonics."""
         if not self.turns_with_rotor:
             return f"{self.description}: no harmonic describes it, it may leak into the harmonics beside it"
-        remedy = f"--harmonics {self.order:.0f} reduces it too"
         if self.order > regressed:
-            return f"{self.description}: the regression ends at {regressed}/rev, it may leak; {remedy}"
-        return f"{self.description}: it is in the regression, harmonics 1 to {n} are free of it; {remedy}"
+            return f"{self.description}: the regression ends at {regressed}/rev, it may leak"
+        return f"{self.description}: it is in the regression, harmonics 1 to {n} are free of it"
 
 
 PowerGain = Callable[[Array], Array]
