@@ -153,3 +153,9 @@ def damaged(reason: object) -> UserError:
     """The error of a file whose content ends early or contradicts itself."""
     text = " ".join(str(reason).split())[:200]
     return UserError(f"cannot be read, it is truncated or damaged ({text})", remedy="Copy or export it again")
+
+
+def select_columns(table: NDArray[Any], columns: Sequence[int]) -> Array:
+    """Return columns of a table (n, c) in double precision, as a copy; all together are not picked one by one."""
+    chosen = list(columns)
+    return np.array(table if chosen == list(range(table.shape[1])) else table[:, chosen], np.float64)

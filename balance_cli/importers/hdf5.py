@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, damaged
+from balance_cli.importers.base import (
+    Array,
+    ChannelGroup,
+    ForeignChannel,
+    ForeignFile,
+    TextLayout,
+    damaged,
+    select_columns,
+)
 from balance_cli.importers.matrices import scalar_of
 from balance_cli.importers.time_columns import TIME_NAME
 from balance_cli.importers.written_numbers import whole_rate
@@ -166,7 +174,7 @@ def _group(path: Path, listed: _Listed) -> ChannelGroup:
                     part = dataset[start:stop][:, None]
                 else:
                     part = dataset[start:stop] if by_columns else dataset[:, start:stop].T
-                return _values(np.asarray(part[:, list(columns)], np.float64), listed)
+                return _values(select_columns(part, columns), listed)
         except (OSError, RuntimeError, KeyError, ValueError) as error:
             raise damaged(error).with_location(file=str(path), place=name) from error
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel
+from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, select_columns
 
 FEWEST_SAMPLES = 2
 
@@ -30,7 +30,7 @@ def matrix_group(name: str, values: Any) -> ChannelGroup | None:
     count = table.shape[1]
 
     def read(columns: Sequence[int], start: int, stop: int) -> Array:
-        return np.asarray(table[start:stop, list(columns)], np.float64)
+        return select_columns(table[start:stop], columns)
 
     names = (name,) if count == 1 else tuple(f"{name}[{k + 1}]" for k in range(count))
     return ChannelGroup(tuple(ForeignChannel(channel) for channel in names), len(table), read)

@@ -12,7 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, damaged
+from balance_cli.importers.base import (
+    Array,
+    ChannelGroup,
+    ForeignChannel,
+    ForeignFile,
+    TextLayout,
+    damaged,
+    select_columns,
+)
 from balance_cli.io.errors import UserError
 
 NAME = "WAV"
@@ -46,7 +54,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         raw = np.fromfile(path, np.uint8, (stop - start) * frame, offset=offset + start * frame)
         if len(raw) < (stop - start) * frame:
             raise damaged("samples end early").with_location(file=str(path))
-        return _values(raw, order, code, bits).reshape(-1, count)[:, list(columns)].astype(np.float64)
+        return select_columns(_values(raw, order, code, bits).reshape(-1, count), columns)
 
     channels = tuple(ForeignChannel(f"channel {k + 1}", "1") for k in range(count))
     notes = () if code == FLOAT else ("integers are read as fractions of full scale",)
