@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from balance_cli.campaign.rig.geometry import Geometry
@@ -192,3 +192,11 @@ def by_turns(candidates: tuple[CandidateRun, ...]) -> tuple[CandidateRun, ...]:
         places.append(turn.get(item.setup, 0))
         turn[item.setup] = places[-1] + 1
     return tuple(item for _, item in sorted(zip(places, candidates, strict=True), key=lambda pair: pair[0]))
+
+
+def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:
+    """The runs with unique names: those of the candidates, with a number in front."""
+    return tuple(
+        CandidateRun(item.plan.model_copy(update={"run": f"{i:02d}-{item.plan.run}"}), item.minutes)
+        for i, item in enumerate(chosen, 1)
+    )

@@ -14,7 +14,7 @@ from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.plate import carried_components, moment_reference_length
-from balance_cli.planning.candidate_runs import CandidateRun, by_turns, candidate_runs
+from balance_cli.planning.candidate_runs import CandidateRun, by_turns, candidate_runs, number_runs
 from balance_cli.planning.channel_noise import ChannelNoise, planning_noise
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.confusion import confused_pairs
@@ -135,7 +135,7 @@ def plan_campaign(
         shortest = min(problem.minutes([i]) for i in range(len(candidates)))
         fault = f"no run that tells anything fits into {options.minutes:g} minutes (the shortest takes {shortest:.3g})"
         raise UserError(fault, "--minutes", remedy="Give more time, or shorter periods and set-ups in the hall file")
-    return _describe(base, problem, design, options, spectra, deadline)
+    return _describe(base, problem, design, options, spectra, deadline, progress)
 
 
 def line_powers(
@@ -241,9 +241,15 @@ def _describe(
     options: PlanOptions,
     spectra: Spectra,
     deadline: Deadline,
+    progress: Progress | None,
 ) -> PlannedCampaign:
     chosen = design.chosen
-    rehearsed = {i: _forecast_information(base, problem, i, options.seed, deadline) for i in sorted(set(chosen))}
+    order = sorted(set(chosen))
+    items: Iterable[CandidateRun] = [problem.candidates[i] for i in order]
+    shown = progress(items, "forecast", len(order)) if progress else items
+    rehearsed = {
+        i: _forecast_information(base, problem, i, options.seed, deadline) for i, _ in zip(order, shown, strict=True)
+    }
     runs = [rehearsed[i] for i in chosen]
     totals = cumulative_information(problem.before, runs, base.model)
     stages = projected_stages(totals, base.model)
@@ -290,11 +296,3 @@ def _forecast_information(
     plan = problem.candidates[index].plan
     later = takewhile(lambda _: not deadline.is_over, range(seed + 1, seed + REHEARSALS))
     return mean_information([problem.information[index], *(base.information(plan, (k,)) for k in later)], plan.run)
-
-
-def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:
-    """The runs with unique names: those of the candidates, with a number in front."""
-    return tuple(
-        CandidateRun(item.plan.model_copy(update={"run": f"{i:02d}-{item.plan.run}"}), item.minutes)
-        for i, item in enumerate(chosen, 1)
-    )

@@ -16,7 +16,7 @@ from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS as EFFECTS_OF_LIBRARY
-from balance_cli.planning.candidate_runs import candidate_runs
+from balance_cli.planning.candidate_runs import candidate_runs, number_runs
 from balance_cli.planning.channel_noise import planning_noise
 from balance_cli.planning.detectability import (
     DetectionLevel,
@@ -36,7 +36,7 @@ from balance_cli.report.sources import Sources
 from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.identify import identify
-from balance_cli.steps.plan import PlanningRig, PlanOptions, number_runs, plan_campaign, planning_rig
+from balance_cli.steps.plan import PlanningRig, PlanOptions, plan_campaign, planning_rig
 from tests.support.other_rigs import other_rig, short_campaign
 
 EFFECTS = ("channel-gain", "added-mass", "time-delay")
