@@ -209,7 +209,7 @@ def _read_hall(session: Session, path: Path | None) -> Hall:
     from balance_cli.planning.hall_file import load_hall
 
     if path is None:
-        session.warn("no --hall: levels, times and exciters are assumed; see the table of levels")
+        session.warn("no --hall: times are assumed, and exciters of any force; check the levels of the runs")
         return open_hall()
     return load_hall(path)
 

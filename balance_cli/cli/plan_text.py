@@ -200,8 +200,8 @@ def _weak_lines_text(planned: PlannedCampaign) -> Iterator[str]:
     weakest = min((math.sqrt(min(power) / max(power)) for power in powers), default=1.0)
     if weakest < WEAK_LINE:
         yield f"   The weakest lines have {100 * weakest:.2g} % of the strongest amplitude. `identify` weights them,"
-        yield "   but their coherence in `sweep-tf` is poor: to reduce by measured response, plan with `spectrum: flat`"
-        yield "   in the hall file"
+        yield "   but in `sweep-tf` their coherence is lower: to reduce by measured response,"
+        yield "   plan with `spectrum: flat` in the hall file"
 
 
 def _effects_text(planned: PlannedCampaign) -> Iterator[str]:

@@ -28,6 +28,7 @@ from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.planning.hall import RecordSettings
 from balance_cli.planning.hub_loads import LoadForecast, total_sigma
 from balance_cli.planning.information import RunInformation, add_information
+from balance_cli.signals.periodic import LEAST_SHARE_OF_STRONGEST
 from balance_cli.simulation.excitation import Power
 from balance_cli.simulation.plans import Component
 
@@ -44,6 +45,8 @@ MODE_HALF_WIDTHS = 3.0
 """Half-widths of a mode on either side that make a band: there the response turns its phase by 140 degrees."""
 LEAST_LINES = 3
 """Lines of a band."""
+USABLE = 2.0
+"""Least amplitude of a line over that from which spectra use it: noise and the exciter's own dynamics take a part."""
 DIGITS = 3
 """Significant digits of the power of a band in a plan."""
 
@@ -120,10 +123,15 @@ def optimal_powers(problem: PowerProblem) -> Mapping[Component, Power]:
     return {
         sweep.component: tuple(
             (round(float(edge), 6), float(f"{factor:.{DIGITS}g}"))
-            for edge, factor in zip(sweep.edges, _factors(weight, sweep), strict=True)
+            for edge, factor in zip(sweep.edges, raise_weak_lines(_factors(weight, sweep)), strict=True)
         )
         for weight, sweep in zip(weights, problem.sweeps, strict=True)
     }
+
+
+def raise_weak_lines(power: Array) -> Array:
+    """Power (b,) of bands in which no line is so weak beside the strongest that spectra leave it out."""
+    return np.asarray(np.maximum(power, (USABLE * LEAST_SHARE_OF_STRONGEST) ** 2 * power.max()))
 
 
 def _factors(weight: Array, sweep: BandInformation) -> Array:

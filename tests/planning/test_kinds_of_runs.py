@@ -21,7 +21,7 @@ from balance_cli.planning.design import Design
 from balance_cli.planning.extended_model import extended_model
 from balance_cli.planning.hall import Hall, record_settings
 from balance_cli.planning.information import RunInformation, band_information, no_information, spectra_information
-from balance_cli.planning.line_power import BandInformation, PowerProblem, optimal_powers
+from balance_cli.planning.line_power import BandInformation, PowerProblem, optimal_powers, raise_weak_lines
 from balance_cli.planning.rehearsal import lower_sample_rate, rehearse
 from balance_cli.planning.run_words import condition_words, excitation_words, record_words
 from balance_cli.simulation import NO_NOISE, SweepPlan, simulate_run, true_rig
@@ -182,6 +182,24 @@ def test_power_goes_where_it_tells_and_keeps_to_its_limit():
     factors = np.array([value for _, value in power])
     # All that is not kept flat (a fifth) goes into the band that tells: 0.2 + 0.8 / 0.25.
     assert factors == pytest.approx([3.4, 0.2]) and factors @ share == pytest.approx(1.0)
+
+
+def test_no_line_is_so_weak_that_its_spectrum_is_left_out():
+    geometry = other_rig("A")
+    power = raise_weak_lines(np.array([1.0, 1e-7]))
+    plan = SweepPlan(
+        run="Fz",
+        excited=("Fz",),
+        level=(60.0,),
+        phases="low-crest",
+        period=1.0,
+        periods=3,
+        band=(5.0, 100.0),
+        power=tuple(zip((5.0, 60.0), map(float, power), strict=True)),
+    )
+    run, _ = simulate_run(true_rig(geometry), plan)
+    (lines,) = measured_spectra([run], geometry).lines
+    assert np.count_nonzero(lines.frequency > 0) == 96
 
 
 def test_run_that_lowers_the_cosine_most_is_named():
