@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
+from balance_cli.signals.rotor.joint_regression import JointRegression, complex_amplitudes, harmonic_products
 from balance_cli.signals.rotor.line_sums import LineSums, trigonometric_basis
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
 
@@ -133,7 +134,7 @@ def estimate_harmonics(
     rises smoothly at either end: an amplitude that varies with the speed would otherwise leak into its neighbors at
     1/T (0.001 V from 4/rev into 2/rev, where the speed changed by 6 %). The weight has the moments of a step at each
     end, so that the amplitudes are means over the whole interval. For a signal that is periodic in azimuth the result
-    is exact. `other` lines are regressed with them, and are not returned.
+    is exact. `other` lines are regressed with them, and are not returned; what they cost is in the covariance.
 
     The noise is that of the neighboring lines k + m/R of the same record, R revolutions, the error of bridged gaps,
     and what the scatter of the pulses leaves of an error of the azimuth.
@@ -151,8 +152,9 @@ def estimate_harmonics(
     sums = _empty_sums(n * (last - first_revolution) + int(offsets[-1]), fitted_count, other.columns, len(names))
     for samples in _weighted_blocks(run, azimuth, names, revolutions, other, block):
         _accumulate_block(sums, samples, fitted_count)
-    amplitude = _solve_amplitudes(sums, n, fitted_count)
-    covariance, dof = _amplitude_covariance(sums, n, last - first_revolution, offsets)
+    regression = _regression(sums, fitted_count)
+    amplitude = complex_amplitudes(regression.solve(sums.moment), n, fitted_count)
+    covariance, dof = _amplitude_covariance(sums, n, last - first_revolution, offsets, regression)
     w, w2 = sums.weight[:2]
     weighted_revolutions = (last - first_revolution) * w**2 / (w2 * sums.samples)
     covariance = covariance + azimuth_error_covariance(amplitude, azimuth, weighted_revolutions)
@@ -163,7 +165,7 @@ def estimate_harmonics(
         psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
         moment = trigonometric_basis(psi, fitted_count, other.basis(time)) @ (errors * weight).T
-        return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
+        return complex_amplitudes(regression.solve(moment), n, fitted_count).T
 
     span = _sample_span(run, start, end)
     covariance = covariance + bridging_covariance(run, names, span, error_amplitudes)
@@ -266,33 +268,25 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     sums.samples += len(w)
 
 
-def _gram_matrix(sums: _NormalEquations, fitted_count: int) -> Array:
-    """Products of all columns of the basis with each other, weighted: cos a cos b = (cos(a - b) + cos(a + b)) / 2."""
-    k = np.arange(fitted_count + 1)
-    both, between = k[:, None] + k, k - k[:, None]
-    cosine, sine = sums.turning.real, sums.turning.imag
-    cosines = 0.5 * (cosine[np.abs(between)] + cosine[both])
-    sines = 0.5 * (cosine[np.abs(between)] - cosine[both])[1:, 1:]
-    mixed = 0.5 * (sine[both] + np.sign(between) * sine[np.abs(between)])[:, 1:]
-    own = np.block([[cosines, mixed], [mixed.T, sines]])
-    beside, others = np.split(sums.border, [len(own)], axis=1)
-    return np.block([[own, beside.T], [beside, others]])
+def _regression(sums: _NormalEquations, fitted_count: int) -> JointRegression:
+    return JointRegression(harmonic_products(sums.turning, fitted_count), sums.border)
 
 
-def _solve_amplitudes(sums: _NormalEquations, n: int, fitted_count: int) -> ComplexArray:
-    """X_k = cosine_k - j sine_k (n+1, c) from the normal equations."""
-    coefficients = np.linalg.solve(_gram_matrix(sums, fitted_count), sums.moment)
-    amplitude = coefficients[: n + 1].astype(complex)
-    amplitude[1:] -= 1j * coefficients[fitted_count + 1 : fitted_count + 1 + n]
-    return amplitude
+def _of_cosine_and_sine(factor: Array, n: int) -> Array:
+    """Return the mean (n+1,) of a factor (2 F + 1,) on the variances of cosine and sine of each harmonic."""
+    cosine, sine = factor[: n + 1], factor[len(factor) // 2 + 1 :][:n]
+    return np.concatenate([cosine[:1], 0.5 * (cosine[1:] + sine)])
 
 
-def _amplitude_covariance(sums: _NormalEquations, n: int, turns: int, offsets: Array) -> tuple[ComplexArray, Array]:
+def _amplitude_covariance(
+    sums: _NormalEquations, n: int, turns: int, offsets: Array, regression: JointRegression
+) -> tuple[ComplexArray, Array]:
     """Covariance (n+1, c, c) of the amplitudes and its degrees of freedom (n+1,)."""
     w, w2, q, q2 = sums.weight
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
     variance_ratio = (w2 / w**2) / (q2 / q**2)
     lines = sums.lines.at(turns * np.arange(n + 1)[:, None] + offsets.astype(np.int64)) * (2.0 / q)
     mean, others = mean_noise(lines[0], offsets), pooled_noise(lines[1:], offsets)
-    covariance = variance_ratio * np.concatenate([mean.covariance[None], others.covariance])
+    inflation = _of_cosine_and_sine(regression.variance_inflation(), n)
+    covariance = variance_ratio * inflation[:, None, None] * np.concatenate([mean.covariance[None], others.covariance])
     return covariance, np.concatenate([mean.dof[None], others.dof])

@@ -1,4 +1,4 @@
-"""Lines of a record that do not turn with its rotor: tones of known frequency.
+"""Lines of a record that do not turn with its rotor: tones of known frequency, and modes that still ring.
 
 Regressed together with the harmonics of the rotor they leak neither into these nor into the noise.
 """
@@ -19,19 +19,22 @@ LEAST_SEPARATION = 1.0
 
 @dataclass(frozen=True)
 class OtherLines:
-    """Tones at constant `frequencies` [Hz]."""
+    """Tones at constant `frequencies` [Hz], and free decays exp(s (t - start)) from `start` [s] on, s [1/s]."""
 
     frequencies: tuple[float, ...] = ()
+    exponents: tuple[complex, ...] = ()
+    start: float = 0.0
 
     @property
     def columns(self) -> int:
         """The number of columns of the basis."""
-        return 2 * len(self.frequencies)
+        return 2 * (len(self.frequencies) + len(self.exponents))
 
     def basis(self, time: Array) -> Array:
-        """Return cosines and sines (m, columns) at `time` (m,) [s]."""
+        """Return cosines and sines (m, columns) at `time` (m,) [s]; a decay has its first value before its start."""
         angle = 2.0 * np.pi * np.outer(time, self.frequencies)
-        return np.hstack([np.cos(angle), np.sin(angle)])
+        decays = np.exp(np.outer(np.maximum(time - self.start, 0.0), np.array(self.exponents, complex)))
+        return np.hstack([np.cos(angle), np.sin(angle), decays.real, decays.imag])
 
 
 NO_OTHER_LINES = OtherLines()

@@ -1,0 +1,72 @@
+"""A light mode that still rings beside a harmonic: what is left of the start transient is no load."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.reduction import harmonic_loads
+from balance_cli.reduction.model_sources import ModelSource
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.other_lines import OtherLines
+from balance_cli.simulation import NO_NOISE, RotorPlan, simulate_run, true_rig
+from balance_cli.steps.identify import IdentifyOptions, identify
+from tests.support.other_rigs import other_rig
+
+LIGHT = other_rig("A").model_copy(update={"damping_ratio": 3e-4})
+NOISE = 1e-5
+"""Volts of each sample; the channels read volts."""
+
+
+@pytest.fixture(scope="module")
+def source():
+    return ModelSource(identify(Spectra((), (), (), {}), LIGHT, IdentifyOptions(method="computed")))
+
+
+@pytest.fixture(scope="module", params=[0.93, 1.08], ids=["below", "above"])
+def record(request, source):
+    """1/rev 7 % below the lowest mode, or 8 % above; 8 s after the start the mode still rings."""
+    speed = request.param * source.model.modes.frequency[0]
+    plan = RotorPlan(
+        run="wind",
+        kind="wind",
+        harmonics={"Fx": (20.0, 10.0, 5.0), "Fz": (40.0, 20.0, 10.0)},
+        sample_rate=1000.0,
+        duration=8.0,
+        rotor_speed=speed,
+    )
+    run, truth = simulate_run(true_rig(LIGHT), plan, NO_NOISE, 2)
+    channels = run.read().channels
+    noise = NOISE * np.random.default_rng(4).standard_normal(channels.shape)
+    return replace(run, source=MemorySource(channels + noise, None)), truth
+
+
+def _errors(run, truth, source):
+    """Errors (2, m) of the cosines and sines at 3/rev over the standard deviation by noise alone."""
+    rotor = harmonic_loads.rotor_record(run, LIGHT, source, 3)
+    solved = harmonic_loads.harmonic_loads(rotor, LIGHT, source)
+    cosine, sine = truth.harmonics(*rotor.spectra.interval)
+    error = solved.loads[0] - (cosine - 1j * sine)[1]
+    sigma = np.sqrt(np.diag(solved.noise_covariance[0])).reshape(2, -1)
+    return np.stack([error.real, error.imag]) / sigma
+
+
+def test_what_rings_beside_a_harmonic_is_fitted(record, source, monkeypatch):
+    run, truth = record
+    assert np.abs(_errors(run, truth, source)).max() < 5.0
+    monkeypatch.setattr(harmonic_loads, "DECAY_TIME_CONSTANTS", 0.0)
+    assert np.abs(_errors(run, truth, source)).max() > 20.0
+
+
+def test_modes_that_have_decayed_are_not_fitted(record, source):
+    run, _ = record
+    azimuth = azimuth_from_pulses(run.pulse_times)
+    late = azimuth_from_pulses(run.pulse_times + 1e4)
+    found, none = (
+        harmonic_loads._with_free_decays(OtherLines((7.0,)), run, item, 20, source) for item in (azimuth, late)
+    )
+    np.testing.assert_allclose(np.abs(found.exponents[0]) / (2 * np.pi), source.model.modes.frequency[0], rtol=1e-6)
+    assert found.frequencies == none.frequencies == (7.0,)
+    assert none.exponents == ()
