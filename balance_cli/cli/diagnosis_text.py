@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
-from balance_cli.diagnosis.result import VERDICT_MEANING, Diagnosis
+from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _trial_summary(trial: Trial) -> dict[str, Any]:
 
 def diagnosis_text(diagnosis: Diagnosis) -> Iterator[str]:
     """Return the lines of the text: verdict, effects with their evidence, hold-out errors, and what was not tested."""
-    yield f"Verdict: {diagnosis.verdict}: {VERDICT_MEANING[diagnosis.verdict]}"
+    yield f"Verdict: {diagnosis.verdict}: {diagnosis.meaning}"
     chi2 = _before_after_text(diagnosis.chi2_per_dof_before, diagnosis.chi2_per_dof_after)
     error = _before_after_text(100 * diagnosis.frf_error_before, 100 * diagnosis.frf_error_after)
     yield f"chi2/dof {chi2} against the measured noise, error of the responses {error} %"

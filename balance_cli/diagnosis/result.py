@@ -203,7 +203,7 @@ class Diagnosis(ResultView):
     response error before and after; eigenmodes before and after; `location`: where a residual remains, in words.
     `settings` with which it was made (None: an artefact that was written without them). `left_out`: what the updated
     model was fitted without. `consistency`: what the cross-checks said of the runs, None where nothing. `dof`: degrees
-    of freedom of the updated fit.
+    of freedom of the updated fit. `is_unfinished`: true where the time limit ended the search.
     """
 
     geometry: Geometry
@@ -227,6 +227,14 @@ class Diagnosis(ResultView):
     left_out: LeftOut | None = field(default=None, metadata={"omit_if_none": True})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     dof: float | None = field(default=None, metadata={"omit_if_none": True})
+    is_unfinished: bool | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def meaning(self) -> str:
+        """What the verdict means, in words."""
+        if self.is_unfinished and self.verdict in (PARTLY_EXPLAINED, UNEXPLAINED):
+            return "the time limit ended the search before the data were explained; a longer one may find more"
+        return VERDICT_MEANING[self.verdict]
 
     def summary_lines(self) -> Iterator[str]:
         """Verdict, chi2/dof before and after, the effects, what is not testable, hold-out runs."""

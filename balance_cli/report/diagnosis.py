@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, VERDICT_MEANING, Diagnosis, ModelFreeTest, Trial
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, ModelFreeTest, Trial
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.report.blocks import (
     BulletList,
@@ -47,7 +47,7 @@ def verdict_sentence(source: Source[Diagnosis]) -> str:
     """The verdict in one sentence, with the effects found."""
     diagnosis = source.content
     effects = ", ".join(effect.label for effect in diagnosis.effects)
-    sentence = f"{capitalize_first(source.label)}: {diagnosis.verdict}; {VERDICT_MEANING[diagnosis.verdict]}."
+    sentence = f"{capitalize_first(source.label)}: {diagnosis.verdict}; {diagnosis.meaning}."
     return f"{sentence} Found: {effects}." if effects else sentence
 
 
@@ -110,7 +110,7 @@ def _worth_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
 
 
 def _verdict_blocks(made: Diagnosis) -> Iterator[PageBlock]:
-    words = f"{capitalize_first(made.verdict)}: {VERDICT_MEANING[made.verdict]}."
+    words = f"{capitalize_first(made.verdict)}: {made.meaning}."
     yield Paragraph(words) if made.verdict in (NOTHING_MISSING, EXPLAINED) else WarningText(words)
     yield KeyFigures(tuple(_key_figures(made)))
     if made.location:

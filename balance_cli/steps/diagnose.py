@@ -76,7 +76,7 @@ def diagnose(
     if announce.is_over:
         limit = f"the time limit of {settings.time_limit:g} s of computing"
         note = f"{limit} was reached: this is the best model up to then"
-        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note))
+        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note), is_unfinished=True)
     announce("done")
     return diagnosis, updated
 

@@ -68,6 +68,7 @@ def test_after_the_time_limit_the_best_model_so_far_is_returned_and_said_to_be_t
     assert made.verdict == UNEXPLAINED
     assert made.chi2_per_dof_after <= made.chi2_per_dof_before
     assert any("time limit of 0 s of computing" in note for note in made.notes)
+    assert "time limit ended the search" in made.meaning
     assert any("before its refit" in trial.reason for trial in made.trials)
 
 
