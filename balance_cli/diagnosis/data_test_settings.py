@@ -106,6 +106,14 @@ class RunChangeSettings:
 
 
 @dataclass(frozen=True)
+class RecordChangeSettings:
+    """The ratio of two channels of a cell in the first half of a periodic record against the last."""
+
+    min_half_periods: int = 2
+    """Periods in each half: with one each, a single disturbance would be a drift."""
+
+
+@dataclass(frozen=True)
 class ExclusionSettings:
     """Channels and runs that are left out where no effect describes all data."""
 
@@ -123,5 +131,6 @@ class DataTestSettings:
     run_pairs: RunPairSettings = field(default_factory=RunPairSettings)
     static_pairs: StaticPairSettings = field(default_factory=StaticPairSettings)
     run_changes: RunChangeSettings = field(default_factory=RunChangeSettings)
+    record_changes: RecordChangeSettings = field(default_factory=RecordChangeSettings)
     mains: MainsDetectionSettings = field(default_factory=MainsDetectionSettings)
     exclusions: ExclusionSettings = field(default_factory=ExclusionSettings)

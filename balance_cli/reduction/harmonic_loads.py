@@ -43,6 +43,11 @@ DECAY_TIME_CONSTANTS = 12.0
 """Time constants of a mode after which its start transient is not fitted: exp(-12) is 6e-6, below what the noise of
 amplitudes lets one see. A mode at 122.5 Hz with a damping ratio of 0.0003, 28 % of whose transient were left, had
 changed a load at 120 Hz by 14 standard deviations."""
+LARGEST_RESPONSE_CHANGE = 1e-3
+"""Relative change of the response to a harmonic over an interval, with the rotor speed, up to which decays are fitted.
+
+Beyond it the harmonic itself changes in the channels, and a decay would take part of that: at a speed that drifted by
+2 % loads were 10 % wrong."""
 MIN_TRANSIENT_TIME = 10.0
 """Time [s] that is searched at least: a response may lack the slowest mode, and the high-pass of a piezo channel decays
 within seconds."""
@@ -124,9 +129,19 @@ def _record(
     run = source.remove_nonlinear_contribution(run, health.live)
     start = _steady_revolution(run, azimuth, source, health)
     signals = health.live + (COMPONENTS if run.has_loads else ())
-    other = _with_free_decays(other, run, azimuth, start, source)
+    if source.system is not None and _is_steady(run, azimuth, start, max(max_harmonic, 1), source):
+        other = _with_free_decays(other, run, azimuth, start, source)
     spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start, other=other)
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
+
+
+def _is_steady(run: Run, azimuth: Azimuth, first_revolution: int, max_harmonic: int, source: ResponseSource) -> bool:
+    """Whether the rotor speed from a revolution on leaves the response to each harmonic as it is."""
+    speed = azimuth.speed(azimuth.time_of(np.arange(first_revolution, azimuth.turns + 1)))
+    harmonic = np.arange(1, max_harmonic + 1)
+    slow, fast = (source.at(harmonic * extreme, run.rotor_speed) for extreme in (speed.min(), speed.max()))
+    change = np.linalg.norm(fast - slow, axis=1)
+    return bool(np.all(change <= LARGEST_RESPONSE_CHANGE * np.linalg.norm(slow, axis=1)))
 
 
 def _with_free_decays(

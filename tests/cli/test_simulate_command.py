@@ -96,7 +96,7 @@ def test_declared_effects_are_simulated(folder):
         (("--effect", "low-pass@torqe", "--parameter", "cutoff=1"), "not at torqe"),
         (("--parameter", "cutoff=1"), "no effect"),
         (("--effect", "low-pass@torque", "--parameter", "cutoff=nan"), "`cutoff` of `low-pass` is `nan`"),
-        (("--noise", "nan"), "--noise: `nan` is not a factor"),
+        (("--noise", "nan"), "'--noise': nan is not a number"),
         (("--noise", "inf"), "--noise: `inf` is not a factor"),
         (("--effect", "dry-friction@z1", "--parameter", "force=1"), "`stick_stiffness` above 0"),
         (("--effect", "low-pass@torque", "--parameter", "cutoff=inf"), "`cutoff` of `low-pass` is `inf`"),

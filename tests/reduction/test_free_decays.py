@@ -70,3 +70,12 @@ def test_modes_that_have_decayed_are_not_fitted(record, source):
     np.testing.assert_allclose(np.abs(found.exponents[0]) / (2 * np.pi), source.model.modes.frequency[0], rtol=1e-6)
     assert found.frequencies == none.frequencies == (7.0,)
     assert none.exponents == ()
+
+
+@pytest.mark.parametrize(("drift", "is_steady"), [(0.0, True), (1e-6, True), (3e-3, False)])
+def test_decays_are_fitted_at_a_speed_at_which_the_response_does_not_change(record, source, drift, is_steady):
+    """Where the speed drifts, the harmonics change as slowly as modes decay, and would be taken for them."""
+    run, _ = record
+    pulses = run.pulse_times * (1.0 - drift * run.pulse_times / run.pulse_times[-1])
+    azimuth = azimuth_from_pulses(pulses)
+    assert harmonic_loads._is_steady(run, azimuth, 20, 3, source) is is_steady

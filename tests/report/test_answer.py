@@ -133,4 +133,4 @@ def test_the_load_over_azimuth_is_the_sum_of_its_harmonics():
 def test_loads_that_must_not_be_used_are_not_recommended():
     (source,) = sources_of(with_flags(loads("physical model (ls+ml)"), "redundancy"))
     first = next(iter(answer_blocks([source]))).text
-    assert first.startswith("Do not use these loads, the best that were given: ") and "Recommended" not in first
+    assert first.startswith("Do not use these loads, the only ones given: ") and "Recommended" not in first

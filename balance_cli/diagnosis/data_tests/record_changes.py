@@ -27,8 +27,6 @@ from balance_cli.signals.run_spectrum import RunSpectrum
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-LEAST_PERIODS = 2
-"""Periods in each half of a record: with one each, a single disturbance would be a drift."""
 OVERLAP = 2.0 / 3.0
 """Degrees of freedom of overlapping differences, relative to their number."""
 
@@ -38,13 +36,13 @@ def record_tests(runs: Sequence[RunSpectrum], geometry: Geometry, settings: Data
     paths = {path.channel: path for path in declared_paths(geometry)}
     rows = []
     for first, second in channel_pairs(geometry):
-        halves = [half for run in runs for half in _halves(run, (first, second))]
+        halves = [half for run in runs for half in _halves(run, (first, second), settings)]
         pair = compare_pair(halves, (paths[first], paths[second]), geometry.tolerances.sensitivity, settings)
         rows.append(None if pair is None else _test(pair, settings))
     return [row for row in rows if row is not None]
 
 
-def _halves(run: RunSpectrum, names: tuple[str, str]) -> list[RunSpectrum]:
+def _halves(run: RunSpectrum, names: tuple[str, str], settings: DataTestSettings) -> list[RunSpectrum]:
     """The two channels of a run in each half of its periods, under the name of the run.
 
     The start transient, which is in both channels of a cell alike, is no reason to leave periods out but the first.
@@ -55,7 +53,7 @@ def _halves(run: RunSpectrum, names: tuple[str, str]) -> list[RunSpectrum]:
     moving = np.flatnonzero(run.frequency > 0)
     periods = run.periods[1:, moving[:, None], places]
     half = len(periods) // 2
-    if half < LEAST_PERIODS:
+    if half < settings.record_changes.min_half_periods:
         return []
     covariance, dof = _noise_of_period(periods)
     first = RunSpectrum(

@@ -117,7 +117,7 @@ def test_few_lines_will_do():
 
 
 def test_outside_the_lines():
-    with pytest.raises(UserError, match=r"measured from 2 to 150 Hz, not at 157\.5 Hz"):
+    with pytest.raises(UserError, match=r"measured from 2 to 150 Hz \(run\), not at 157\.5 Hz"):
         interpolate_response(measured(), np.array([17.5, 157.5]))
 
 
