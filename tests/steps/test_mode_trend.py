@@ -6,6 +6,7 @@ import pytest
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.system_response import response, solve
 from balance_cli.steps.mode_trend import mode_trends, run_modes
 from tests.steps.test_trend import a_point
 from tests.support.rigs import two_degrees_of_freedom
@@ -29,6 +30,9 @@ class Declared:
 
     def remove_nonlinear_contribution(self, run, live):
         return run
+
+    def at(self, frequency, spin):
+        return response(self.system, solve(self.system, frequency))
 
 
 DECLARED = Declared()
