@@ -15,7 +15,14 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.model.transient_modes import transient_modes
-from balance_cli.reduction.response_sources import ResponseSource, circular_real, load_scale, stacked_real
+from balance_cli.reduction.response_sources import (
+    ResponseSource,
+    circular_real,
+    highest_frequency,
+    load_scale,
+    lowest_frequency,
+    stacked_real,
+)
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
@@ -262,7 +269,9 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
     """
     azimuth, spectra = record.azimuth, record.spectra
     orders = range(1, len(spectra.frequency_hz))
-    lines = harmonic_lines(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
+    band = lowest_frequency(source), highest_frequency(source)
+    alone = harmonic_lines(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
+    lines = [item.moved_into(*band) for item in alone]
     at = source.at(np.concatenate([item.frequency for item in lines]), record.spin)
     parts = np.split(at, np.cumsum([len(item.frequency) for item in lines])[:-1])
     averages = []

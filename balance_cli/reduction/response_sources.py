@@ -248,6 +248,13 @@ def highest_frequency(source: ResponseSource) -> float:
     return min(float(measured.frequency[-1]) for measured in source.responses)
 
 
+def lowest_frequency(source: ResponseSource) -> float:
+    """Return the lowest frequency [Hz] at which a response is known: the first measured line, no end for a model."""
+    if not isinstance(source, TransferSource):
+        return -float("inf")
+    return max(float(measured.frequency[0]) for measured in source.responses)
+
+
 def transfer_source(transfer: Transfer, interpolation: str) -> ResponseSource:
     """Return the measured responses, for each component that of the highest level."""
     components = dict.fromkeys(name for response in transfer.responses for name in response.components)

@@ -30,6 +30,8 @@ The lines of a short record reach far into the slopes of a light mode. There a s
 revolutions, 2 % beside a mode with a damping ratio of 0.008, by 1e-4, and this share by 1e-7; there are four times as
 many lines.
 """
+FAR_LINE_WEIGHT = 1e-4
+"""Weight of a line over the largest, up to which a response that ends before it is taken at its end."""
 SAMPLES_PER_HZ_OF_SPEED = 4.0
 """Sample rate over the rotor speed: the harmonic is shifted to zero frequency, and its band is far narrower."""
 
@@ -40,6 +42,16 @@ class HarmonicLines:
 
     frequency: Array
     weight: ComplexArray
+
+    def moved_into(self, lowest: float, highest: float) -> HarmonicLines:
+        """Return the lines with those far from the harmonic, which weigh little, moved into a band [Hz].
+
+        A measured response ends: that of the band's end serves for lines beyond it.
+        """
+        size = np.abs(self.weight)
+        far = size <= FAR_LINE_WEIGHT * size.max()
+        frequency = np.where(far, np.clip(self.frequency, lowest, highest), self.frequency)
+        return HarmonicLines(frequency, self.weight)
 
 
 def harmonic_lines(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
-from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
+from balance_cli.signals.rotor.harmonic_spectrum import HarmonicLines, harmonic_lines
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 
@@ -26,6 +26,14 @@ def test_at_constant_speed_the_response_is_that_at_one_frequency_even_beside_a_l
     lines = harmonic_lines(azimuth, spectra, (6,), decay_time=0.6)[0]
     average = lines.weight @ _resonance(lines.frequency / frequency, damping_ratio)
     assert abs(average / _resonance(6 * speed / frequency, damping_ratio) - 1.0) < 3e-6
+
+
+def test_far_lines_beyond_a_measured_response_are_taken_at_its_end():
+    """The record of a campaign whose eighth harmonic, 143 Hz, has lines up to 150.3 Hz; sweeps end at 150 Hz."""
+    lines = HarmonicLines(np.array([140.0, 143.0, 150.3]), np.array([1e-6, 1.0, 1e-6]) + 0j)
+    np.testing.assert_array_equal(lines.moved_into(141.0, 150.0).frequency, [141.0, 143.0, 150.0])
+    np.testing.assert_array_equal(lines.moved_into(-np.inf, np.inf).frequency, lines.frequency)
+    np.testing.assert_array_equal(lines.moved_into(141.0, 142.0).frequency, [141.0, 143.0, 142.0])
 
 
 def _resonance(ratio, damping_ratio):
