@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
-from balance_cli.model.transient_modes import transient_modes
+from balance_cli.reduction.free_decays import with_free_decays
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     circular_real,
@@ -30,7 +30,6 @@ from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.rotor.harmonics import (
     BELOW_NYQUIST,
-    EDGE_REVOLUTIONS,
     FEWEST_REVOLUTIONS,
     FITTED_HARMONICS,
     Harmonics,
@@ -46,15 +45,6 @@ ComplexArray = NDArray[np.complex128]
 
 TRANSIENT_TIME_CONSTANTS = 7.0
 """Time constants of the slowest mode within which the transient end is sought: exp(-7) is a thousandth."""
-DECAY_TIME_CONSTANTS = 12.0
-"""Time constants of a mode after which its start transient is not fitted: exp(-12) is 6e-6, below what the noise of
-amplitudes lets one see. A mode at 122.5 Hz with a damping ratio of 0.0003, 28 % of whose transient were left, had
-changed a load at 120 Hz by 14 standard deviations."""
-LARGEST_RESPONSE_CHANGE = 1e-3
-"""Relative change of the response to a harmonic over an interval, with the rotor speed, up to which decays are fitted.
-
-Beyond it the harmonic itself changes in the channels, and a decay would take part of that: at a speed that drifted by
-2 % loads were 10 % wrong."""
 MIN_TRANSIENT_TIME = 10.0
 """Time [s] that is searched at least: a response may lack the slowest mode, and the high-pass of a piezo channel decays
 within seconds."""
@@ -136,37 +126,9 @@ def _record(
     run = source.remove_nonlinear_contribution(run, health.live)
     start = _steady_revolution(run, azimuth, source, health)
     signals = health.live + (COMPONENTS if run.has_loads else ())
-    if source.system is not None and _is_steady(run, azimuth, start, max(max_harmonic, 1), source):
-        other = _with_free_decays(other, run, azimuth, start, source)
+    other = with_free_decays(other, run, azimuth, start, max_harmonic, source)
     spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start, other=other)
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
-
-
-def _is_steady(run: Run, azimuth: Azimuth, first_revolution: int, max_harmonic: int, source: ResponseSource) -> bool:
-    """Whether the rotor speed from a revolution on leaves the response to each harmonic as it is."""
-    speed = azimuth.speed(azimuth.time_of(np.arange(first_revolution, azimuth.turns + 1)))
-    harmonic = np.arange(1, max_harmonic + 1)
-    slow, fast = (source.at(harmonic * extreme, run.rotor_speed) for extreme in (speed.min(), speed.max()))
-    change = np.linalg.norm(fast - slow, axis=1)
-    return bool(np.all(change <= LARGEST_RESPONSE_CHANGE * np.linalg.norm(slow, axis=1)))
-
-
-def _with_free_decays(
-    other: OtherLines, run: Run, azimuth: Azimuth, first_revolution: int, source: ResponseSource
-) -> OtherLines:
-    """Return the lines, and the free decays of the modes that may still ring in an interval from a revolution on.
-
-    What rings there below the noise of a sample leaks into the harmonics next to it. A response without equations of
-    motion does not tell its modes.
-    """
-    if source.system is None:
-        return other
-    assert run.sample_rate is not None
-    start = float(azimuth.time_of(np.array(first_revolution)))
-    fastest = DECAY_TIME_CONSTANTS / (start + 0.5 * EDGE_REVOLUTIONS / azimuth.mean_rate)
-    highest = 0.5 * BELOW_NYQUIST * run.sample_rate
-    modes = transient_modes(source.system, run.rotor_speed, highest, fastest, with_derivatives=False)
-    return replace(other, exponents=tuple(modes.s[: modes.oscillating].tolist()), start=start)
 
 
 def _steady_revolution(run: Run, azimuth: Azimuth, source: ResponseSource, health: ChannelHealth) -> int:

@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.reduction import harmonic_loads
+from balance_cli.reduction import free_decays, harmonic_loads
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.other_lines import OtherLines
@@ -56,7 +56,7 @@ def _errors(run, truth, source):
 def test_what_rings_beside_a_harmonic_is_fitted(record, source, monkeypatch):
     run, truth = record
     assert np.abs(_errors(run, truth, source)).max() < 5.0
-    monkeypatch.setattr(harmonic_loads, "DECAY_TIME_CONSTANTS", 0.0)
+    monkeypatch.setattr(free_decays, "DECAY_TIME_CONSTANTS", 0.0)
     assert np.abs(_errors(run, truth, source)).max() > 20.0
 
 
@@ -65,7 +65,7 @@ def test_modes_that_have_decayed_are_not_fitted(record, source):
     azimuth = azimuth_from_pulses(run.pulse_times)
     late = azimuth_from_pulses(run.pulse_times + 1e4)
     found, none = (
-        harmonic_loads._with_free_decays(OtherLines((7.0,)), run, item, 20, source) for item in (azimuth, late)
+        free_decays.with_free_decays(OtherLines((7.0,)), run, item, 20, 3, source) for item in (azimuth, late)
     )
     np.testing.assert_allclose(np.abs(found.exponents[0]) / (2 * np.pi), source.model.modes.frequency[0], rtol=1e-6)
     assert found.frequencies == none.frequencies == (7.0,)
@@ -78,4 +78,5 @@ def test_decays_are_fitted_at_a_speed_at_which_the_response_does_not_change(reco
     run, _ = record
     pulses = run.pulse_times * (1.0 - drift * run.pulse_times / run.pulse_times[-1])
     azimuth = azimuth_from_pulses(pulses)
-    assert harmonic_loads._is_steady(run, azimuth, 20, 3, source) is is_steady
+    fitted = free_decays.with_free_decays(OtherLines(), run, azimuth, 20, 3, source).exponents
+    assert bool(fitted) is is_steady
