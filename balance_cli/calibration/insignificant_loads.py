@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.static_matrices import TrimRegression, TrimRows, regress, significance
 from balance_cli.io.errors import UserError
 

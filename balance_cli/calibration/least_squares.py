@@ -24,8 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import qr, solve_triangular
 
+from balance_cli.calibration.block_zeros import BlockZeros
 from balance_cli.calibration.extended_precision import ExtendedArray, gram_schmidt, inner_products, triangular_inverse
 
 Array = NDArray[np.float64]
@@ -152,13 +153,15 @@ def solve_least_squares(X: NDArray[np.floating], Y: Array, block: Index, weight:
     Raises CollinearError where the columns are collinear within the blocks.
     """
     w = np.ones(len(X)) if weight is None else np.asarray(weight, float)
-    zeros = _BlockZeros.from_blocks(block, w)
+    zeros = BlockZeros.from_blocks(block, w)
     # Scaled by a power of two near the norm before elimination: after it a column may consist of rounding errors.
     size = np.sqrt(w @ np.asarray(X, float) ** 2)
     scale = np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
-    Q, R = np.linalg.qr(zeros.subtract_means(np.asarray(X, float) / scale))
+    A, shift = _shift_columns(np.asarray(X, float) / scale, zeros)
+    Q, R = _thin_qr(A)
     extended = _check_condition(R) > EXTENDED_CONDITION or X.dtype == np.longdouble or Y.dtype == np.longdouble
-    x, z, r = _refine_solution(*_shift_columns(X / scale, Y, zeros, extended), zeros, Q, R)
+    rows = _extended_rows(X / scale, Y, zeros) if extended else _Rows(A, Y * zeros.root[:, None], shift)
+    x, z, r = _refine_solution(rows, zeros, Q, R)
     Q, R, inverse = (
         _extended_qr(zeros.subtract_means(X.astype(np.longdouble) / scale)) if extended else (Q, R, _gram_inverse(R))
     )
@@ -176,50 +179,9 @@ def solve_least_squares(X: NDArray[np.floating], Y: Array, block: Index, weight:
     )
 
 
-@dataclass(frozen=True)
-class _BlockZeros:
-    """Zeros of blocks of rows, for elimination from weighted rows.
-
-    `place` (m,): block of each row; `order` (m,) sorts the rows by block and `starts` (b,) are the first rows of the
-    blocks in that order; `total` (b,): sum of the weights; `root` (m,): square roots of the weights.
-    """
-
-    place: Index
-    order: Index
-    starts: Index
-    total: Array
-    root: Array
-
-    @classmethod
-    def from_blocks(cls, block: Index, weight: Array) -> _BlockZeros:
-        names, place = np.unique(block, return_inverse=True)
-        order = np.argsort(place, kind="stable")
-        starts = np.searchsorted(place[order], np.arange(len(names)))
-        return cls(place, order, starts, np.asarray(np.bincount(place, weight), float), np.sqrt(weight))
-
-    def sums(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Product D' A (b, p) of weighted rows A (m, p), with D (m, b) the weighted columns of the zeros."""
-        weighted = rows * self.root[:, None]
-        return np.asarray(np.add.reduceat(weighted[self.order], self.starts, axis=0))
-
-    def expand(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Product D V (m, p) of values V (b, p) of the blocks."""
-        return np.asarray(values[self.place] * self.root[:, None])
-
-    def means(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Weighted mean (b, p) of the rows in each block, from weighted rows (m, p)."""
-        return np.asarray(self.sums(rows) / self.total[:, None])
-
-    def subtract_means(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Weight the rows of values (m, p) and subtract their block means."""
-        rows = values * self.root[:, None]
-        return np.asarray(rows - self.expand(self.means(rows)))
-
-
-def subtract_block_means(values: Array, block: Index, weight: Array | None = None) -> Array:
-    """Weight the rows of values (m, p) and subtract their weighted mean in each block (m,)."""
-    w = np.ones(len(values)) if weight is None else weight
-    return np.asarray(_BlockZeros.from_blocks(block, w).subtract_means(values), float)
+def _thin_qr(A: Array) -> tuple[Array, Array]:
+    Q, R = qr(A, mode="economic", check_finite=False)
+    return np.asarray(Q, float), np.asarray(R, float)
 
 
 def _gram_inverse(R: Array) -> Array:
@@ -251,27 +213,29 @@ def _check_condition(R: Array) -> float:
     return float(s[0] / s[-1] / size.min())
 
 
-def _shift_columns(
-    X: NDArray[np.floating], Y: NDArray[np.floating], zeros: _BlockZeros, extended: bool
-) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """Weighted rows of X less block means (b, p), weighted rows of Y, and the means that were subtracted.
+def _shift_columns(X: Array, zeros: BlockZeros) -> tuple[Array, Array]:
+    """Weighted rows of X less block means (b, p), and the means that were subtracted."""
+    means = np.asarray(zeros.means(X * zeros.root[:, None]), float)
+    return (X - means[zeros.place]) * zeros.root[:, None], means
 
-    In extended precision nothing is subtracted, because the difference would be rounded.
-    """
-    if extended:
-        root = zeros.root.astype(np.longdouble)[:, None]
-        return X * root, Y * root, np.zeros((len(zeros.total), X.shape[1]), np.longdouble)
-    means = zeros.means(X * zeros.root[:, None])
-    return (X - means[zeros.place]) * zeros.root[:, None], Y * zeros.root[:, None], means
+
+@dataclass(frozen=True)
+class _Rows:
+    """Weighted rows A (m, p) of X less `shift` (b, p), the means of each block, and y (m, c) of Y."""
+
+    A: NDArray[np.floating]
+    y: NDArray[np.floating]
+    shift: NDArray[np.floating]
+
+
+def _extended_rows(X: NDArray[np.floating], Y: NDArray[np.floating], zeros: BlockZeros) -> _Rows:
+    """Rows in extended precision, from which nothing is subtracted: the difference would be rounded."""
+    root = zeros.root.astype(np.longdouble)[:, None]
+    return _Rows(X * root, Y * root, np.zeros((len(zeros.total), X.shape[1]), np.longdouble))
 
 
 def _refine_solution(
-    A: NDArray[np.floating],
-    y: NDArray[np.floating],
-    shift: NDArray[np.floating],
-    zeros: _BlockZeros,
-    Q: Array,
-    R: Array,
+    rows: _Rows, zeros: BlockZeros, Q: Array, R: Array
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
     """Solve r + D z + A x = y with D'r = 0 and A'r = 0 by iterative refinement (Bjorck, BIT 7 (1967) 257).
 
@@ -279,6 +243,7 @@ def _refine_solution(
     equations are computed in the precision of A. The solution is refined once, and again while the steps shrink to
     something significant.
     """
+    A, y, shift = rows.A, rows.y, rows.shift
     x, z = np.zeros((A.shape[1], y.shape[1]), A.dtype), np.zeros((len(shift), y.shape[1]), A.dtype)
     r, means, last = np.zeros_like(y), np.asarray(zeros.means(A), float), np.inf
     f, g, h = np.asarray(y, float), np.zeros(x.shape), np.zeros(z.shape)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
-from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.noise import APPLIED_SHARE
 
 Array = NDArray[np.float64]

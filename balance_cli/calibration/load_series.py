@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.block_zeros import subtract_block_means
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

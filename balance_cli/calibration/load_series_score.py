@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE, intruding_rows
 from balance_cli.calibration.robust_fit import SCALE_FLOOR, RobustFit, fit_robustly
 

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.load_series_score import ScheduleRows
 
 Array = NDArray[np.float64]

@@ -17,9 +17,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.cross_validation import prediction_errors
 from balance_cli.calibration.few_rows import FEW_ROWS_P_VALUE, least_p_value_without_two_rows
-from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, subtract_block_means
+from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares
 from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION, TermNormalEquations
 from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL
 from balance_cli.signals import distributions as stats

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.least_squares import (
     CollinearError,
     LeastSquares,
     solve_least_squares,
-    subtract_block_means,
 )
 from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL
 from balance_cli.signals import distributions as stats

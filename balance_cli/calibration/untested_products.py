@@ -21,7 +21,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
 from balance_cli.calibration.term_support import MIN_APPLIED_LOAD
 from balance_cli.calibration.terms import Term, linear_terms, term_values

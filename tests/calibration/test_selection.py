@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration import selection
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.fit import fit_calibration_model
-from balance_cli.calibration.least_squares import solve_least_squares, subtract_block_means
+from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.load_series import describe_load_series, find_load_series
 from balance_cli.calibration.normal_equations import TermNormalEquations
 from balance_cli.calibration.selection import select_terms
