@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 MANY_PARAMETERS = 100
 """Parameters from which those that show in one channel alone are worth operations of their own: no fit has as many."""
+LINES_AT_ONCE = 32
+"""Lines of one step of `information_product`: with 25 channels and 200 parameters 3 MB, which stay in the cache."""
 
 
 def real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
@@ -29,25 +32,75 @@ def _real_pairs(values: ComplexArray) -> Array:
     return np.ascontiguousarray(values).reshape(-1, values.shape[-1]).view(np.float64)
 
 
-def information_product(derivatives: ComplexArray, weighted: ComplexArray) -> Array:
-    """Re sum dY* P dY (p, p) of derivatives dY (K, c, p) and P dY, P being Hermitian.
+@dataclass(frozen=True)
+class ParameterChannels:
+    """Which parameters show where: `wide` (w,) in several channels, `single` (o,) in one, which is `channel` (o,).
+
+    The single ones are in the order of their channels; `first` (c + 1,) are their places where a channel begins.
+    """
+
+    wide: Index
+    single: Index
+    channel: Index
+    first: Index
+
+
+def parameter_channels(derivatives: ComplexArray) -> ParameterChannels:
+    """Return where the parameters of derivatives (K, c, p) show; those that show nowhere are left out."""
+    shown = np.asarray(derivatives.any(axis=0))
+    count = np.count_nonzero(shown, axis=0)
+    single = np.flatnonzero(count == 1)
+    channel = shown[:, single].argmax(axis=0)
+    order = np.argsort(channel, kind="stable")
+    first = np.searchsorted(channel[order], np.arange(len(shown) + 1))
+    return ParameterChannels(np.flatnonzero(count > 1), single[order], channel[order], first)
+
+
+def information_product(derivatives: ComplexArray, precision: ComplexArray) -> Array:
+    """Re sum dY* P dY (p, p) of derivatives dY (K, c, p) with the Hermitian precision P (K, c, c).
 
     A parameter that shows in one channel alone (each crosstalk of a score test does) takes the lines of this channel:
     a rig with 24 channels has a thousand parameters, of which three quarters are such.
     """
-    shown = np.asarray(derivatives.any(axis=0))
-    alone = np.count_nonzero(shown, axis=0) == 1
-    wide = np.flatnonzero(~alone)
-    product = np.empty((len(alone),) * 2)
-    product[np.ix_(wide, wide)] = _stacked_parts(derivatives[:, :, wide]).T @ _stacked_parts(weighted[:, :, wide])
-    for channel in range(len(shown)):
-        own = np.flatnonzero(alone & shown[channel])
-        rows = _stacked_parts(derivatives[:, channel, own]).T @ _stacked_parts(weighted[:, channel])
-        product[own], product[:, own] = rows, rows.T
+    shown = parameter_channels(derivatives)
+    wide = len(shown.wide)
+    parts = np.zeros((wide + len(shown.single),) * 2)
+    for start in range(0, len(derivatives), LINES_AT_ONCE):
+        lines = slice(start, start + LINES_AT_ONCE)
+        _add_products(parts, derivatives[lines], precision[lines], shown)
+    parts[:wide, wide:] = parts[wide:, :wide].T
+    single = parts[wide:, wide:]
+    single[:] = np.triu(single) + np.triu(single, 1).T
+    order = np.concatenate([shown.wide, shown.single])
+    product = np.zeros((derivatives.shape[2],) * 2)
+    product[np.ix_(order, order)] = parts
     return product
 
 
-def _stacked_parts(values: ComplexArray) -> Array:
-    """Columns (n, q) as (2n, q): all real parts, then all imaginary ones."""
-    flat = values.reshape(math.prod(values.shape[:-1]), values.shape[-1])
-    return np.concatenate([flat.real, flat.imag])
+def _add_products(parts: Array, derivatives: ComplexArray, precision: ComplexArray, shown: ParameterChannels) -> None:
+    """Add the products of some lines in place, of two single parameters in one order only."""
+    k, c, _ = derivatives.shape
+    wide = len(shown.wide)
+    of_wide = _stack_parts(derivatives[:, :, shown.wide])
+    weighted = _real_matrices(precision) @ of_wide
+    parts[:wide, :wide] += of_wide.reshape(2 * k * c, wide).T @ weighted.reshape(2 * k * c, wide)
+    by_part = weighted.reshape(k, 2, c, wide)
+    of_single = derivatives[:, shown.channel, shown.single]
+    left = _stack_parts(of_single[:, None])
+    for channel, (start, stop) in enumerate(zip(shown.first[:-1], shown.first[1:], strict=True)):
+        if start == stop:
+            continue
+        own, rows = left[:, :, start:stop].reshape(2 * k, -1), slice(wide + start, wide + stop)
+        parts[rows, :wide] += own.T @ by_part[:, :, channel].reshape(2 * k, wide)
+        later = precision[:, channel, shown.channel[start:]] * of_single[:, start:]
+        parts[rows, wide + start :] += own.T @ _stack_parts(later[:, None]).reshape(2 * k, -1)
+
+
+def _stack_parts(values: ComplexArray) -> Array:
+    """Columns (k, c, q) as (k, 2c, q): the real parts of each line, then its imaginary ones."""
+    return np.concatenate([values.real, values.imag], axis=1)
+
+
+def _real_matrices(values: ComplexArray) -> Array:
+    """Complex matrices (k, c, c) as real ones (k, 2c, 2c), which act on stacked parts."""
+    return np.block([[values.real, -values.imag], [values.imag, values.real]])

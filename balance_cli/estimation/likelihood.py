@@ -221,7 +221,7 @@ class BatchDerivatives:
         every = slice(None)
         if self.derivatives.shape[2] < MANY_PARAMETERS:
             return self.information(self.weighted(), every, every)
-        information = 2.0 * information_product(self.derivatives, self.weighted())
+        information = 2.0 * information_product(self.derivatives, self.fit.precision)
         for term in self.transient_terms:
             information += term.information(every, every)
         return information + tones_information(self.tone_terms) if self.tone_terms else information

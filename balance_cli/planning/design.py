@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.deadline import NO_DEADLINE, Deadline
 from balance_cli.planning.candidate_runs import CandidateRun
 from balance_cli.planning.choices import Aim
-from balance_cli.planning.detectability import InformationRows, information_rows, remaining_diagonal
+from balance_cli.planning.detectability import InformationRows, information_rows, project_rows
 from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.planning.hub_loads import LoadForecast, parameter_sigma, total_sigma
 from balance_cli.planning.information import RunInformation
@@ -90,12 +90,12 @@ class Problem:
 
 def campaign_worth(total: InformationRows, model: ExtendedModel, forecast: LoadForecast | None, aim: Aim) -> float:
     """Worth of the information of a campaign (see the head of the module)."""
-    covariance, diagonal = remaining_diagonal(total, model)
+    projected = project_rows(total, model)
     worth = 0.0
     if aim != "loads" or forecast is None:
-        worth += effect_worth(diagonal, model)
+        worth += effect_worth(projected.diagonal, model)
     if aim != "effects" and forecast is not None:
-        worth -= float(np.mean(np.log(total_sigma(forecast, model, covariance))))
+        worth -= float(np.mean(np.log(total_sigma(forecast, model, projected.covariance))))
     return worth
 
 
@@ -184,7 +184,7 @@ def _load_ratio(problem: Problem, candidate: int) -> float | None:
         return None
     model, forecast = problem.model, problem.forecast
     with_run, without = (
-        parameter_sigma(forecast, model, remaining_diagonal(problem.total(chosen), model)[0])
+        parameter_sigma(forecast, model, project_rows(problem.total(chosen), model).covariance)
         for chosen in ((candidate,), ())
     )
     known = (with_run > 0) & (without > 0)

@@ -143,17 +143,26 @@ class InformationRows:
     def __add__(self, other: InformationRows) -> InformationRows:
         return InformationRows(self.rows + other.rows, self.diagonal + other.diagonal)
 
+    def __mul__(self, factor: float) -> InformationRows:
+        return InformationRows(factor * self.rows, factor * self.diagonal)
+
 
 def information_rows(information: Array, model: ExtendedModel) -> InformationRows:
     """The rows of the fitted parameters and the diagonal of an information (p, p)."""
     return InformationRows(information[model.indices.fitted], np.diag(information))
 
 
-def remaining_diagonal(known: InformationRows, model: ExtendedModel) -> tuple[Array, Array]:
-    """The covariance (f, f) of the fitted parameters and the diagonal (t,) of V, as `project` has them.
+@dataclass(frozen=True)
+class ProjectedRows:
+    """`covariance` (f, f), `projection` (f, t) and the diagonal (t,) of V, as `ProjectedInformation` has them."""
 
-    `known`: of runs and priors together.
-    """
+    covariance: Array
+    projection: Array
+    diagonal: Array
+
+
+def project_rows(known: InformationRows, model: ExtendedModel) -> ProjectedRows:
+    """Project the fitted parameters out of what is `known` by runs and priors together; of V the diagonal alone."""
     tested = np.concatenate([*model.indices.tested, np.zeros(0, np.intp)]).astype(np.intp)
     among, cross = known.rows[:, model.indices.fitted], known.rows[:, tested]
     covariance = covariance_from_information(among)
@@ -161,7 +170,7 @@ def remaining_diagonal(known: InformationRows, model: ExtendedModel) -> tuple[Ar
     raw = known.diagonal[tested]
     V = raw - 2.0 * np.sum(cross * projection, axis=0) + np.sum(projection * (among @ projection), axis=0)
     informed = DEFAULT_SETTINGS.score.min_information_share * np.maximum(raw, np.finfo(float).tiny) < V
-    return covariance, np.where(informed, V, 0.0)
+    return ProjectedRows(covariance, projection, np.where(informed, V, 0.0))
 
 
 def gain_threshold(parameters: int, count: int, level: float, noise_dof: float) -> float:

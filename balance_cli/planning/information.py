@@ -9,7 +9,7 @@ formula for any of them. The information of independent runs adds up (Fedorov, T
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,17 +62,16 @@ def spectra_information(spectra: Spectra, model: ExtendedModel) -> tuple[RunInfo
     )
 
 
-def band_information(spectra: Spectra, model: ExtendedModel, edges: Array) -> tuple[Array, ...]:
-    """The information (p, p) of the lines of one run in each band, from `edges` (b,) [Hz] on.
+def band_information(spectra: Spectra, model: ExtendedModel, edges: Array) -> Iterator[Array]:
+    """Yield the information (p, p) of the lines of one run in each band, from `edges` (b,) [Hz] on.
 
     What the start transient and tones of the mains take of it is not taken off.
     """
     (batch,) = split_by_run(stack_runs(spectra.lines, (), model.model.geometry.channel_names))
     item = batch_derivatives(batch, model.system)
-    weighted, place = item.weighted(), np.searchsorted(edges, batch.line_frequency * (1.0 + 1e-9), side="right") - 1
-    return tuple(
-        2.0 * information_product(item.derivatives[place == k], weighted[place == k]) for k in range(len(edges))
-    )
+    place = np.searchsorted(edges, batch.line_frequency * (1.0 + 1e-9), side="right") - 1
+    for k in range(len(edges)):
+        yield 2.0 * information_product(item.derivatives[place == k], item.fit.precision[place == k])
 
 
 def _run_name(batch: Batch) -> str:

@@ -14,7 +14,7 @@ worth in each step. A part of the power stays flat, for effects that no candidat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from balance_cli.model.modes import modes
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.design import COARSEST_SIZE
-from balance_cli.planning.detectability import ProjectedInformation, project
+from balance_cli.planning.detectability import InformationRows, ProjectedRows, information_rows, project_rows
 from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.planning.hall import RecordSettings
 from balance_cli.planning.hub_loads import LoadForecast, total_sigma
-from balance_cli.planning.information import RunInformation, add_information
+from balance_cli.planning.information import RunInformation
 from balance_cli.signals.periodic import LEAST_SHARE_OF_STRONGEST
 from balance_cli.simulation.excitation import Power
 from balance_cli.simulation.plans import Component
@@ -55,13 +55,14 @@ DIGITS = 3
 class BandInformation:
     """The bands of a flat sweep of one component: first frequencies (b,) [Hz], `share` (b,) of what limits its level.
 
-    `information` (b): that of the lines of each band.
+    `information` (b): that of the lines of each band; of a thousand parameters and two hundred bands the whole would
+    be gigabytes.
     """
 
     component: Component
     edges: Array
     share: Array
-    information: tuple[RunInformation, ...]
+    information: tuple[InformationRows, ...]
 
 
 @dataclass(frozen=True)
@@ -74,14 +75,15 @@ class PowerProblem:
     forecast: LoadForecast | None
     aim: Aim
 
-    def total(self, factors: Sequence[Array]) -> RunInformation:
-        """What is known with these factors on the power of the bands of each sweep."""
-        parts = [
-            RunInformation(part.run, factor * part.information, part.noise_dof)
+    def total(self, factors: Sequence[Array]) -> InformationRows:
+        """What is known, priors included, with these factors on the power of the bands of each sweep."""
+        parts = (
+            part * factor
             for sweep, factors_of_sweep in zip(self.sweeps, factors, strict=True)
             for part, factor in zip(sweep.information, factors_of_sweep.tolist(), strict=True)
-        ]
-        return add_information([self.before, *parts], self.model)
+        )
+        known_before = self.before.information + self.model.prior_information
+        return sum(parts, information_rows(known_before, self.model))
 
 
 def band_edges(settings: RecordSettings, model: ExtendedModel) -> Array:
@@ -100,7 +102,7 @@ def band_edges(settings: RecordSettings, model: ExtendedModel) -> Array:
 
 
 def bands_of_sweep(
-    component: Component, edges: Array, frequency: Array, limiting: Array, parts: Sequence[Array], dof: float
+    component: Component, edges: Array, frequency: Array, limiting: Array, parts: Iterable[InformationRows]
 ) -> BandInformation:
     """The bands of a flat sweep; `limiting` (f,) at `frequency` (f,) is what a unit of power takes of the limit."""
     place = np.searchsorted(edges, frequency * (1.0 + 1e-9), side="right") - 1
@@ -108,8 +110,7 @@ def bands_of_sweep(
     # A band without a frequency of the grid is narrower than the grid: it takes its part of the band's width.
     width = np.diff(np.append(edges, frequency[-1]))
     share = np.where(share > 0, share, np.interp(edges, frequency, limiting) * width / (frequency[1] - frequency[0]))
-    information = tuple(RunInformation(component, part, dof) for part in parts)
-    return BandInformation(component, edges, share / share.sum(), information)
+    return BandInformation(component, edges, share / share.sum(), tuple(parts))
 
 
 def optimal_powers(problem: PowerProblem) -> Mapping[Component, Power]:
@@ -141,23 +142,23 @@ def _factors(weight: Array, sweep: BandInformation) -> Array:
 def _gradients(problem: PowerProblem, factors: Sequence[Array]) -> list[Array]:
     """Derivative of the worth by the factor of each band, of each sweep."""
     model = problem.model
-    projected = project(problem.total(factors), model)
+    projected = project_rows(problem.total(factors), model)
     weight = _effect_weights(projected, model) if problem.aim != "loads" or problem.forecast is None else None
     through = None
     if problem.aim != "effects" and problem.forecast is not None:
         through = _load_weights(problem.forecast, model, projected.covariance)
     return [
-        np.array([_trace(part.information, projected, model, weight, through) for part in sweep.information])
+        np.array([_trace(part, projected, model, weight, through) for part in sweep.information])
         for sweep in problem.sweeps
     ]
 
 
-def _effect_weights(projected: ProjectedInformation, model: ExtendedModel) -> Array:
+def _effect_weights(projected: ProjectedRows, model: ExtendedModel) -> Array:
     """Derivative (t,) of the part of the worth that comes from the effects, by the diagonal of V."""
     names = model.tested_effects
     count = {str(name): np.count_nonzero(names == name) for name in names}
     equal = np.array([1.0 / count[str(name)] for name in names]) / max(len(count), 1)
-    return np.asarray(0.5 * equal / (np.diag(projected.V) + (COARSEST_SIZE * model.scales) ** -2))
+    return np.asarray(0.5 * equal / (projected.diagonal + (COARSEST_SIZE * model.scales) ** -2))
 
 
 def _load_weights(forecast: LoadForecast, model: ExtendedModel, covariance: Array) -> Array:
@@ -170,8 +171,8 @@ def _load_weights(forecast: LoadForecast, model: ExtendedModel, covariance: Arra
 
 
 def _trace(
-    information: Array,
-    projected: ProjectedInformation,
+    information: InformationRows,
+    projected: ProjectedRows,
     model: ExtendedModel,
     weight: Array | None,
     through: Array | None,
@@ -179,9 +180,9 @@ def _trace(
     """Derivative of the worth by a part of the information."""
     fitted = model.indices.fitted
     tested = np.concatenate([*model.indices.tested, np.zeros(0, np.intp)]).astype(np.intp)
-    among, value = information[np.ix_(fitted, fitted)], 0.0
+    among, value = information.rows[:, fitted], 0.0
     if weight is not None and len(tested):
-        P, cross = projected.projection, information[np.ix_(fitted, tested)]
-        change = np.diag(information)[tested] - 2.0 * np.sum(P * cross, axis=0) + np.sum(P * (among @ P), axis=0)
+        P, cross = projected.projection, information.rows[:, tested]
+        change = information.diagonal[tested] - 2.0 * np.sum(P * cross, axis=0) + np.sum(P * (among @ P), axis=0)
         value += float(weight @ np.maximum(change, 0.0))
     return value + (0.0 if through is None else float(np.sum(through * among)))

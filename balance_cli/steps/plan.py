@@ -19,7 +19,7 @@ from balance_cli.planning.channel_noise import ChannelNoise, planning_noise
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.design import Design, Problem, choose_runs, rank_runs
-from balance_cli.planning.detectability import DetectionLevel
+from balance_cli.planning.detectability import DetectionLevel, information_rows
 from balance_cli.planning.extended_model import ExtendedModel, extended_model
 from balance_cli.planning.forecast import (
     cumulative_information,
@@ -165,11 +165,10 @@ def line_powers(
             return {}
         assert isinstance(item.plan, SweepPlan)
         spectra = rehearse(item.plan, signals, base.noise, options.seed)
-        dof = spectra.lines[0].dof
-        parts = band_information(spectra, base.model, edges)
+        parts = (information_rows(part, base.model) for part in band_information(spectra, base.model, edges))
         limit = next(each for each in base.limits if each.component == item.plan.excited[0])
         share = limit_spectra(limit.component, geometry, shown, limit)
-        bands.append(bands_of_sweep(limit.component, edges, shown.frequency, share, parts, dof))
+        bands.append(bands_of_sweep(limit.component, edges, shown.frequency, share, parts))
     return optimal_powers(PowerProblem(bands, before, base.model, base.forecast, options.aim))
 
 

@@ -18,6 +18,7 @@ from balance_cli.planning.channel_noise import ChannelNoise, measured_noise
 from balance_cli.planning.comparison import information_ratio
 from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.design import Design
+from balance_cli.planning.detectability import information_rows
 from balance_cli.planning.extended_model import extended_model
 from balance_cli.planning.hall import Hall, record_settings
 from balance_cli.planning.information import RunInformation, band_information, no_information, spectra_information
@@ -175,7 +176,7 @@ def test_power_goes_where_it_tells_and_keeps_to_its_limit():
     tested = int(np.concatenate(model.indices.tested)[0])
     useful = np.zeros((size, size))
     useful[tested, tested] = 1e6
-    parts = tuple(RunInformation("Fx", matrix, 100.0) for matrix in (useful, 0.0 * useful))
+    parts = tuple(information_rows(matrix, model) for matrix in (useful, 0.0 * useful))
     share = np.array([0.25, 0.75])
     sweep = BandInformation("Fx", np.array([5.0, 50.0]), share, parts)
     power = optimal_powers(PowerProblem([sweep], no_information(model), model, None, "effects"))["Fx"]
