@@ -28,11 +28,16 @@ FRF_BAND = (5.0, 150.0)
 
 def frf_band(batches: Sequence[Batch], geometry: Geometry) -> tuple[float, float]:
     """Return the band [Hz] of the relative response errors of a rig: `FRF_BAND`, or that of the excited lines."""
+    lines = np.concatenate([np.zeros(0), *(batch.line_frequency[batch.line_frequency > 0] for batch in batches)])
+    return frf_band_of_lines(lines, geometry)
+
+
+def frf_band_of_lines(frequency: Array, geometry: Geometry) -> tuple[float, float]:
+    """Return `frf_band` for excited lines of these frequencies [Hz]; raises UserError as `balance_model` does."""
     computed = modes(balance_model(without_effects(geometry)).system()).frequency
     if len(computed) and FRF_BAND[0] <= computed.min() and computed.max() <= FRF_BAND[1]:
         return FRF_BAND
-    lines = np.concatenate([np.zeros(0), *(batch.line_frequency[batch.line_frequency > 0] for batch in batches)])
-    return (float(lines.min()), float(lines.max())) if len(lines) else FRF_BAND
+    return (float(frequency.min()), float(frequency.max())) if len(frequency) else FRF_BAND
 
 
 def fit_quality(

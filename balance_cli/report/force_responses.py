@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.fit_quality import frf_band_of_lines
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.spectra import channel_response
+from balance_cli.io.errors import UserError
 from balance_cli.model.system_response import response, solve
+from balance_cli.report.number_format import format_significant
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
@@ -24,8 +27,6 @@ ComplexArray = NDArray[np.complex128]
 Values = TypeVar("Values", Array, ComplexArray)
 
 TORQUE_METER = "torque meter"
-ERROR_BAND = (5.0, 150.0)
-"""Band of relative errors of responses [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,27 @@ def excitation_level(response: FrequencyResponse) -> float:
     return max((float(value) for value in response.level if np.isfinite(value)), default=0.0)
 
 
-def error_band(frequency: Array) -> NDArray[np.bool_]:
-    """Lines (k,) over which relative errors are taken: 5 to 150 Hz."""
-    return (frequency >= ERROR_BAND[0]) & (frequency <= ERROR_BAND[1])
+Band = tuple[float, float]
+"""Lowest and highest frequency [Hz]."""
+
+
+def error_band(responses: Sequence[FrequencyResponse], geometry: Geometry) -> Band:
+    """Return the band [Hz] of the relative errors of responses, the same that models state (`frf_band`)."""
+    lines = np.concatenate([response.frequency for response in responses])
+    try:
+        return frf_band_of_lines(lines, geometry)
+    except UserError:  # the geometry declares no masses, so that its modes are not known
+        return float(lines.min()), float(lines.max())
+
+
+def lines_within(band: Band, frequency: Array) -> NDArray[np.bool_]:
+    """Which lines (k,) lie in a band."""
+    return (frequency >= band[0]) & (frequency <= band[1])
+
+
+def band_text(band: Band) -> str:
+    """A band in words, such as `5 to 150 Hz`."""
+    return f"{format_significant(band[0])} to {format_significant(band[1], 4)} Hz"
 
 
 def best_channel(response: FrequencyResponse) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
+from balance_cli.estimation.fit_quality import FRF_BAND
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.report.blocks import (
     BulletList,
@@ -20,6 +21,7 @@ from balance_cli.report.blocks import (
     TableCell,
     WarningText,
 )
+from balance_cli.report.force_responses import band_text
 from balance_cli.report.frequencies import sigma_scale
 from balance_cli.report.number_format import (
     capitalize_first,
@@ -108,9 +110,11 @@ def quality_table(models: Sequence[Source[IdentifiedModel]]) -> Table:
             TableCell(format_percent(quality.frf_error), mark="total"),
         ]
     rows.append((*total, TableCell("", mark="total")))
+    stated = dict.fromkeys(source.content.quality.frf_band or FRF_BAND for source in model_sources)
+    bands = " or ".join(band_text(band) for band in stated)
     caption = (
-        "Fit of every run. Error: rms of model less measured response over rms of the measured one, 5 to 150 Hz; "
-        "noise: the part of it that is due to the noise of the measurement. Static runs have no such error."
+        "Fit of every run. Error: rms of model less measured response over rms of the measured one, "
+        f"{bands}; noise: the part of it that is due to the noise of the measurement. Static runs have no such error."
     )
     return Table(caption, (labels, units), tuple(rows))
 

@@ -25,11 +25,12 @@ from balance_cli.report.blocks import (
 )
 from balance_cli.report.bode_chart import bode_chart
 from balance_cli.report.force_responses import (
-    ERROR_BAND,
-    Curve,
+    Band,
     ModelResponse,
     Sensor,
+    band_text,
     error_band,
+    lines_within,
     measured_curve,
     model_response,
     relative_error,
@@ -46,8 +47,6 @@ from balance_cli.report.sources import Source, Sources
 from balance_cli.signals.response.transfer import Transfer, response_components, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
-PLOT_BAND = (2.0, 150.0)
-"""Band of the pictures [Hz]: from below 1/rev to the cutoff of the anti-alias filter."""
 RESPONSE_NOISE_FACTOR = 1.5
 """An error up to this factor times the noise counts as noise."""
 MAX_RELATIVE_NOISE = 0.5
@@ -60,10 +59,14 @@ PAPER_PAIRS = (("x", "Fx"), ("x", "My"), ("y1", "Fy"), ("z1", "Fz"))
 
 @dataclass(frozen=True)
 class Comparison:
-    """One component: the measured response, and the responses of each model at its lines, for the sensors shown."""
+    """One component: the measured response, and the responses of each model at its lines, for the sensors shown.
+
+    `error_band` [Hz] is that of relative errors.
+    """
 
     component: str
     geometry: Geometry
+    error_band: Band
     shown_sensors: tuple[Sensor, ...]
     measured: FrequencyResponse
     models: tuple[tuple[Source[IdentifiedModel], ModelResponse], ...]
@@ -82,7 +85,8 @@ def comparisons(sources: Sources) -> tuple[Comparison, ...]:
         responses = [item for source, item in measured.values() if source is transfer]
         shown_sensors = sensors(transfer.geometry, responses, models)
         predictions = tuple(_predict_responses(sources, response, shown_sensors, transfer.geometry))
-        result.append(Comparison(component, transfer.geometry, shown_sensors, response, predictions))
+        band = error_band(responses, transfer.geometry)
+        result.append(Comparison(component, transfer.geometry, band, shown_sensors, response, predictions))
     return tuple(result)
 
 
@@ -121,19 +125,17 @@ def _introduction(compared: Sequence[Comparison]) -> str:
 
 
 def _panels(comparison: Comparison) -> Iterator[Panel]:
-    band = (comparison.measured.frequency >= PLOT_BAND[0]) & (comparison.measured.frequency <= PLOT_BAND[1])
     column = COMPONENTS.index(comparison.component)
     for sensor in comparison.shown_sensors:
         measured = measured_curve(comparison.measured, sensor, comparison.component, comparison.geometry)
-        if measured is None or not band.any():
+        if measured is None:
             continue
         models = tuple(
-            (source.label, source.plot_style, predictions.sensors[sensor.name][band, column])
+            (source.label, source.plot_style, predictions.sensors[sensor.name][:, column])
             for source, predictions in comparison.models
             if sensor.name in predictions.sensors
         )
-        curve = Curve(measured.frequency[band], measured.value[band], measured.sigma[band])
-        yield Panel(sensor.name, comparison.component, curve, models)
+        yield Panel(sensor.name, comparison.component, measured, models)
 
 
 def _component_picture(comparison: Comparison) -> Picture:
@@ -159,7 +161,9 @@ def _bode_blocks(sources: Sources, compared: Sequence[Comparison]) -> Iterator[P
         markup = detail_svg(shown_panels, caption)
         ordered = [*shown_panels, *(panel for pair, panel in panels.items() if pair not in pairs)]
         by_role = [source.label for role in CHART_ROLES for source in sources.models if source.role is role]
-        yield bode_chart(ordered, by_role, rotor_lines(compared[0].geometry, *PLOT_BAND), markup)
+        lines = np.concatenate([comparison.measured.frequency for comparison in compared])
+        markers = rotor_lines(compared[0].geometry, float(lines.min()), float(lines.max()))
+        yield bode_chart(ordered, by_role, markers, markup)
         best = reference_model(sources.models) or sources.models[0]
         others = [source for role in CHART_ROLES for source in sources.models if source.role is role]
         curves = [(item.label, item.plot_style) for item in (best, *others) if item is best or item.label != best.label]
@@ -219,7 +223,7 @@ def error_table(compared: Sequence[Comparison]) -> Table:
     )
     caption = (
         f"Relative error of the responses of all cells together, % (rms of model minus measurement over rms of "
-        f"measurement, {ERROR_BAND[0]:.0f} to {ERROR_BAND[1]:.0f} Hz), and the noise of the measurement. "
+        f"measurement, {band_text(compared[0].error_band)}), and the noise of the measurement. "
         "The paper's form is compared at its own sensors. Shaded: within 1.5 times the noise."
     )
     return Table(caption, (head,), tuple(rows))
@@ -227,7 +231,8 @@ def error_table(compared: Sequence[Comparison]) -> Table:
 
 def sensor_errors(comparison: Comparison) -> tuple[float, list[float]]:
     """Relative noise of the cells' measured responses, and the relative error of each model over those it tells."""
-    band, column = error_band(comparison.measured.frequency), COMPONENTS.index(comparison.component)
+    band = lines_within(comparison.error_band, comparison.measured.frequency)
+    column = COMPONENTS.index(comparison.component)
     curves = {
         s.name: measured_curve(comparison.measured, s, comparison.component, comparison.geometry)
         for s in comparison.shown_sensors
@@ -273,7 +278,7 @@ def _channel_cell(comparison: Comparison, m: int, name: str) -> TableCell:
     if name not in comparison.measured.channel_names or name not in comparison.models[m][1].channels:
         return TableCell("")
     i, j = comparison.measured.channel_names.index(name), comparison.measured.components.index(comparison.component)
-    band = error_band(comparison.measured.frequency)
+    band = lines_within(comparison.error_band, comparison.measured.frequency)
     measured = comparison.measured.response[band, i, j]
     variance = comparison.measured.channel_covariance[band, i, i] * comparison.measured.load_covariance[band, j, j]
     noise = relative_noise(np.sqrt(np.real(variance)), measured)

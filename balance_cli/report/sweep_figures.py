@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -40,6 +41,7 @@ def coherence_figure(responses: Sequence[FrequencyResponse]) -> Figure:
     columns = min(len(names), 6)
     figure = new_figure(12.0, 2.1 * -(-len(names) // columns))
     panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False, sharex=True, sharey=True)
+    highest = max(float(response.frequency[-1]) for response in responses)
     for axes, name in zip(panels.ravel(), names, strict=False):
         component_responses = [response for response in responses if name in response.components]
         strongest = max(excitation_level(response) for response in component_responses)
@@ -49,8 +51,8 @@ def coherence_figure(responses: Sequence[FrequencyResponse]) -> Figure:
             plot_style = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
             axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **plot_style)
         axes.set_title(name)
-        axes.set_xlim(0, 150)
-        axes.set_xticks([0, 50, 100])
+        axes.set_xlim(0, highest)
+        axes.xaxis.set_major_locator(MaxNLocator(3, prune="upper"))
         axes.set_xlabel("frequency [Hz]")
     panels[0, 0].set_ylim(1e-8, 1.5)
     panels[0, 0].set_yticks([1e-8, 1e-6, 1e-4, 1e-2, 1], ["1e-8", "1e-6", "1e-4", "0.01", "1"])
@@ -108,7 +110,7 @@ def ratio_figure(
     left.set_title("amplitude")
     right.set_title("phase [°]")
     for axes in (left, right):
-        axes.set_xlim(0, 150)
+        axes.set_xlim(0, max(float(response.frequency[-1]) for response in responses))
         axes.set_xlabel("frequency [Hz]")
     handles = [Line2D([], [], color=CELL_COLORS[i % len(CELL_COLORS)]) for i in range(len(pairs))]
     handles.append(Line2D([], [], linewidth=0.9, **DECLARED_STYLE))

@@ -10,10 +10,13 @@ from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.report.blocks import PageBlock, Paragraph, Picture, Row, Section, Table, TableCell, WarningText
 from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
+    Band,
+    band_text,
     best_channel,
     error_band,
     excitation_level,
     force_response,
+    lines_within,
     relative_error,
     relative_noise,
 )
@@ -85,17 +88,21 @@ def _ratio_pictures(
 
 def run_table(transfer: Transfer) -> Table:
     """One row per run and component: level of excitation, lines, steady part, coherence, sigma, estimator."""
+    limits = error_band(transfer.responses, transfer.geometry)
     caption = (
-        "Runs. Lowest coherence and median relative sigma of the best-responding channel of each line, 5 to 150 Hz. "
+        "Runs. Lowest coherence and median relative sigma of the best-responding channel of each line, "
+        f"{band_text(limits)}. "
         "Steady part: the part of a periodic record that was used; small: its first period, line by line."
     )
-    rows = [_run_row(transfer, select_component(r, name), r) for r in transfer.responses for name in r.components]
+    rows = [
+        _run_row(transfer, select_component(r, name), r, limits) for r in transfer.responses for name in r.components
+    ]
     return Table(caption, (tuple(TableCell(name) for name in RUN_HEADER),), tuple(rows))
 
 
-def _run_row(transfer: Transfer, response: FrequencyResponse, full_response: FrequencyResponse) -> Row:
+def _run_row(transfer: Transfer, response: FrequencyResponse, full_response: FrequencyResponse, limits: Band) -> Row:
     coherence, sigma = best_channel(response)
-    band, component = error_band(response.frequency), response.components[0]
+    band, component = lines_within(limits, response.frequency), response.components[0]
     return (
         TableCell(response.run, mark="name"),
         TableCell(component),
@@ -119,12 +126,16 @@ def _steady_cell(transfer: Transfer, run: str) -> TableCell:
     if part is None:
         return TableCell("")
     earliest = f"{part.first + 1}" if part.first == part.last else f"{part.first + 1} to {part.last + 1}"
-    return TableCell(f"{part.start:.2f} to {part.stop:.2f} s", f"period {earliest} of {part.periods}")
+    return TableCell(
+        f"{format_significant(part.start, 4)} to {format_significant(part.stop, 4)} s",
+        f"period {earliest} of {part.periods}",
+    )
 
 
 def level_table(source: Source[Transfer], component_responses: Sequence[FrequencyResponse]) -> Table:
     """Compare the response at lower levels with that at the highest, for each component, over all channels."""
     rows = []
+    limits = error_band(component_responses, source.content.geometry)
     for component in COMPONENTS:
         by_level = sorted(
             (r for r in component_responses if component in r.components), key=excitation_level, reverse=True
@@ -132,17 +143,19 @@ def level_table(source: Source[Transfer], component_responses: Sequence[Frequenc
         for low in by_level[1:]:
             high = by_level[0]
             if np.array_equal(high.frequency, low.frequency) and high.channel_names == low.channel_names:
-                rows.append(_level_row(source, component, high, low))
+                rows.append(_level_row(source, component, high, low, limits))
     caption = (
-        "Dependence of the response on the level: relative difference of two runs over all channels, 5 to 150 Hz, and "
-        f"the noise of both. Marked: more than {LEVEL_NOISE_FACTOR} times the noise."
+        "Dependence of the response on the level: relative difference of two runs over all channels, "
+        f"{band_text(limits)}, and the noise of both. Marked: more than {LEVEL_NOISE_FACTOR} times the noise."
     )
     head = tuple(TableCell(name) for name in ("component", "levels rms", "runs", "difference %", "noise %"))
     return Table(caption, (head,), tuple(rows))
 
 
-def _level_row(source: Source[Transfer], component: str, high: FrequencyResponse, low: FrequencyResponse) -> Row:
-    band, geometry = error_band(high.frequency), source.content.geometry
+def _level_row(
+    source: Source[Transfer], component: str, high: FrequencyResponse, low: FrequencyResponse, limits: Band
+) -> Row:
+    band, geometry = lines_within(limits, high.frequency), source.content.geometry
     high_value, high_sigma = force_response(high, geometry)
     low_value, low_sigma = force_response(low, geometry)
     difference = relative_error(low_value[band], high_value[band])

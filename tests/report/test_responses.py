@@ -8,13 +8,21 @@ import pytest
 
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import solve
-from balance_cli.report.force_responses import TORQUE_METER, measured_curve, model_response, relative_error, sensors
+from balance_cli.report.force_responses import (
+    TORQUE_METER,
+    error_band,
+    measured_curve,
+    model_response,
+    relative_error,
+    sensors,
+)
 from balance_cli.report.number_format import format_percent
 from balance_cli.report.response_figures import phase_with_gaps
 from balance_cli.report.responses import comparisons, sensor_errors
 from balance_cli.report.sources import group_sources
 from balance_cli.report.sweep_figures import cell_channel_pairs, cell_channel_ratio
 from balance_cli.report.transfer import level_table
+from tests.support.other_rigs import other_rig
 from tests.support.report_content import FREQUENCY, NOISE, artefact, campaign, measured, model, transfer
 from tests.support.rigs import rotor_balance
 
@@ -68,6 +76,13 @@ def test_the_true_model_is_off_by_nothing_and_a_scaled_one_by_its_scale():
     assert set(found) == set(by_label)
     value = np.array([1.0 + 1j, -2.0])
     assert relative_error(1.1 * value, value) == pytest.approx(0.1)
+
+
+def test_the_band_of_errors_is_that_of_the_excited_lines_where_modes_lie_beyond_the_usual_one():
+    response = replace(measured("Fx", 20.0), frequency=np.linspace(30.0, 5000.0, 20))
+    assert error_band([response], RIG) == (5.0, 150.0)
+    assert error_band([response], other_rig("E")) == (30.0, 5000.0)  # modes of 300 to 700 Hz
+    assert error_band([response], RIG.model_copy(update={"bodies": ()})) == (30.0, 5000.0)  # no modes are known
 
 
 def test_channels_of_a_model_are_told_beside_its_forces():
