@@ -19,30 +19,32 @@ DECAY_TIME_CONSTANTS = 12.0
 amplitudes lets one see. A mode at 122.5 Hz with a damping ratio of 0.0003, 28 % of whose transient were left, had
 changed a load at 120 Hz by 14 standard deviations."""
 LARGEST_RESPONSE_CHANGE = 1e-3
-"""Relative change of the response to a harmonic over an interval, with the rotor speed, up to which decays are fitted.
+"""Relative change of the response to a harmonic over an interval, with the rotor speed, up to which decays are fitted
+to the record as it is.
 
 Beyond it the harmonic itself changes in the channels, and a decay would take part of that: at a speed that drifted by
-2 % loads were 10 % wrong."""
+2 % loads were 10 % wrong. What changes is then taken out of the record first."""
 
 
 def with_free_decays(
-    other: OtherLines, run: Run, azimuth: Azimuth, first_revolution: int, max_harmonic: int, source: ResponseSource
+    other: OtherLines, run: Run, azimuth: Azimuth, first_revolution: int, source: ResponseSource
 ) -> OtherLines:
     """Return the lines, and the free decays of the modes that may still ring in an interval from a revolution on.
 
-    What rings there below the noise of a sample leaks into harmonics 1 to `max_harmonic` next to it. A response without
-    equations of motion does not tell its modes. Where the speed changes the response, a decay would take part of a
-    harmonic, and none is returned.
+    What rings there below the noise of a sample leaks into the harmonics next to it. A response without equations of
+    motion does not tell its modes.
     """
-    if source.system is None or not _is_steady(run, azimuth, first_revolution, max_harmonic, source):
+    if source.system is None:
         return other
     start = float(azimuth.time_of(np.array(first_revolution)))
     since_start = start + 0.5 * EDGE_REVOLUTIONS / azimuth.mean_rate
     return replace(other, exponents=_lasting_exponents(source.system, run, since_start), start=start)
 
 
-def _is_steady(run: Run, azimuth: Azimuth, first_revolution: int, max_harmonic: int, source: ResponseSource) -> bool:
-    """Whether the rotor speed from a revolution on leaves the response to each harmonic as it is."""
+def response_is_constant(
+    run: Run, azimuth: Azimuth, first_revolution: int, max_harmonic: int, source: ResponseSource
+) -> bool:
+    """Return whether the rotor speed from a revolution on leaves the response to each harmonic as it is."""
     speed = azimuth.speed(azimuth.time_of(np.arange(first_revolution, azimuth.turns + 1)))
     harmonic = np.arange(1, max(max_harmonic, 1) + 1)
     slow, fast = (source.at(harmonic * extreme, run.rotor_speed) for extreme in (speed.min(), speed.max()))

@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
-from balance_cli.reduction.free_decays import with_free_decays
+from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     circular_real,
@@ -23,6 +23,7 @@ from balance_cli.reduction.response_sources import (
     lowest_frequency,
     stacked_real,
 )
+from balance_cli.reduction.speed_modulation import ChannelResponse, without_speed_modulation
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
@@ -50,6 +51,9 @@ MIN_TRANSIENT_TIME = 10.0
 within seconds."""
 SPEED_MEMORY = 3.0
 """Time constants over which the past rotor speed affects a harmonic: exp(-3) is 5 %."""
+MOST_MODULATION_PASSES = 3
+"""Passes in which what changes with the speed is taken out, with the harmonics of the pass before; those of the first
+contain what the modes leak. Where the harmonics change by less than the response, nothing would change in the next."""
 LARGEST_CONDITION = 1e8
 """Condition above which a response is refused as singular: double precision then leaves eight digits of the loads."""
 
@@ -126,9 +130,37 @@ def _record(
     run = source.remove_nonlinear_contribution(run, health.live)
     start = _steady_revolution(run, azimuth, source, health)
     signals = health.live + (COMPONENTS if run.has_loads else ())
-    other = with_free_decays(other, run, azimuth, start, max_harmonic, source)
-    spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start, other=other)
+    lines = with_free_decays(other, run, azimuth, start, source)
+
+    def harmonics(of: Run, beside: OtherLines) -> Harmonics:
+        return estimate_harmonics(of, azimuth, max_harmonic, names=signals, first_revolution=start, other=beside)
+
+    if not lines.exponents or response_is_constant(run, azimuth, start, max_harmonic, source):
+        return RotorRecord(run, health, azimuth, harmonics(run, lines), carried_components(geometry))
+    spectra = harmonics(run, other)
+    for _ in range(MOST_MODULATION_PASSES):
+        even = _without_speed_modulation(run, azimuth, spectra, geometry, source, health)
+        if even is None:
+            break
+        before, spectra = spectra.amplitude[1:], harmonics(even, lines)
+        if np.linalg.norm(spectra.amplitude[1:] - before) < LARGEST_RESPONSE_CHANGE * np.linalg.norm(before):
+            break
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
+
+
+def _without_speed_modulation(
+    run: Run, azimuth: Azimuth, spectra: Harmonics, geometry: Geometry, source: ResponseSource, health: ChannelHealth
+) -> Run | None:
+    """Return the run with what changes in the harmonics with the speed taken out; None where rows are not channels."""
+    picked = source.channel_combination(spectra.frequency_hz[1:2], health.live)
+    if picked.combination.shape[1] != len(health.live) or not np.array_equal(
+        picked.combination[0], np.eye(len(health.live))
+    ):
+        return None
+    known = run.channel_names + COMPONENTS
+    columns = tuple(known.index(name) for name in spectra.names)
+    response = ChannelResponse(source, tuple(picked.rows), run.rotor_speed, geometry.acquisition)
+    return without_speed_modulation(run, azimuth, spectra, response, columns, SPEED_MEMORY * source.slowest_decay)
 
 
 def _steady_revolution(run: Run, azimuth: Azimuth, source: ResponseSource, health: ChannelHealth) -> int:

@@ -65,6 +65,30 @@ def harmonic_lines(
     """
     from scipy.fft import fft
 
+    carriers = carrier_envelopes(azimuth, spectra, orders, decay_time)
+    products = np.conj(fft(carriers.weight * carriers.envelopes, axis=1)) * fft(carriers.envelopes, axis=1)
+    return tuple(_lines(S, f + carriers.grid) for f, S in zip(carriers.frequency, products, strict=True))
+
+
+@dataclass(frozen=True)
+class CarrierEnvelopes:
+    """Signals exp(j n psi) = envelope exp(2 pi j f t) at `time` (t,) [s]: `envelopes` (k, t), `frequency` f (k,) [Hz].
+
+    They fade out beyond the pulses. `weight` (t,) is that of the regression, `grid` (t,) the frequencies [Hz] of the
+    discrete spectrum of an envelope.
+    """
+
+    time: Array
+    frequency: Array
+    envelopes: ComplexArray
+    weight: Array
+    grid: Array
+
+
+def carrier_envelopes(
+    azimuth: Azimuth, spectra: Harmonics, orders: Sequence[int], decay_time: float
+) -> CarrierEnvelopes:
+    """Return the carriers of harmonics, shifted to zero frequency, over the record and `decay_time` [s] beyond it."""
     decay_time = min(decay_time, azimuth.last - azimuth.first)
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
     start, stop = azimuth.first - 2 * decay_time, azimuth.last + 2 * decay_time
@@ -76,9 +100,7 @@ def harmonic_lines(
     # The carrier of harmonic n is n times the mean rate, so that all harmonics are powers of one signal.
     carrier = float(spectra.frequency_hz[1])
     powers = unit_powers(2.0 * np.pi * (turns - carrier * time), max(orders))
-    baseband = powers[list(orders)] * taper
-    products = np.conj(fft(weight * baseband, axis=1)) * fft(baseband, axis=1)
-    return tuple(_lines(S, n * carrier + grid) for n, S in zip(orders, products, strict=True))
+    return CarrierEnvelopes(time, carrier * np.array(orders, float), powers[list(orders)] * taper, weight, grid)
 
 
 def _lines(S: ComplexArray, frequencies: Array) -> HarmonicLines:

@@ -1,0 +1,113 @@
+"""Speed modulation: what harmonics of constant loads change in the channels because the rotor speed varies.
+
+The response to exp(j n psi) is not proportional to it where the speed drifts beside a mode. That change is as slow as
+modes decay, and a decay that is fitted with the harmonics takes part of it. It follows from the response: taken out of
+the record it leaves harmonics of constant amplitude, those of the regression, and the free decays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from balance_cli.campaign.recording.run import Run, SampleBlock, SampleSource
+from balance_cli.campaign.rig.geometry import Acquisition
+from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.harmonic_spectrum import CarrierEnvelopes, carrier_envelopes
+from balance_cli.signals.rotor.harmonics import Harmonics
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+LEAST_LINE = 1e-7
+"""Amplitude of a line over the largest of its harmonic, below which its response is not computed: with channels of
+1e-6 of their signal in noise, the sum of the lines left out is below that."""
+
+
+@dataclass(frozen=True)
+class ModulationRemoved:
+    """Samples of a run without `modulation`, envelopes (n, signals) over time [s] of carriers at `frequency` (n,) [Hz].
+
+    `columns` are the signals in order: places of channels, and behind them those of the loads.
+    """
+
+    parent: SampleSource
+    rate: float
+    frequency: Array
+    modulation: CubicSpline[np.complex128]
+    columns: tuple[int, ...]
+
+    def read(self, start: int, stop: int) -> SampleBlock:
+        """Return samples start to stop."""
+        block = self.parent.read(start, stop)
+        time = (start + np.arange(len(block.channels))) / self.rate
+        carrier = np.exp(2j * np.pi * np.outer(time, self.frequency))
+        change = np.einsum("tn,tns->ts", carrier, self.modulation(time)).real
+        count = block.channels.shape[1]
+        stacked = np.array(block.channels if block.loads is None else np.hstack([block.channels, block.loads]))
+        stacked[:, list(self.columns)] -= change
+        return SampleBlock(start, stacked[:, :count], None if block.loads is None else stacked[:, count:])
+
+
+@dataclass(frozen=True)
+class ChannelResponse:
+    """The response of the channels, as recorded: `rows` of a source at a speed `spin` [Hz], behind the filter."""
+
+    source: ResponseSource
+    rows: tuple[int, ...]
+    spin: float
+    acquisition: Acquisition
+
+    def at(self, frequency: Array) -> ComplexArray:
+        """Return the response (k, c, 6) at frequencies (k,) [Hz]."""
+        return self.source.at(frequency, self.spin)[:, list(self.rows)] * self.filter(frequency)[:, None, None]
+
+    def filter(self, frequency: Array) -> ComplexArray:
+        """Return the response (k,) of the anti-alias filter, which is that of the recorded loads."""
+        return anti_alias_response(self.acquisition, frequency)
+
+
+def without_speed_modulation(
+    run: Run, azimuth: Azimuth, spectra: Harmonics, response: ChannelResponse, columns: tuple[int, ...], memory: float
+) -> Run:
+    """Return the run without what the harmonics of `spectra` change with the rotor speed.
+
+    `columns` are the places of the signals of `spectra` in the run: first the channels of `response`, then the loads.
+    The past speed counts for `memory` [s].
+    """
+    assert run.sample_rate is not None
+    orders = range(1, len(spectra.frequency_hz))
+    carriers = carrier_envelopes(azimuth, spectra, orders, memory)
+    modulation = np.stack([_modulation(carriers, n - 1, spectra.amplitude[n], response) for n in orders], axis=1)
+    curve = CubicSpline(carriers.time, modulation, axis=0)
+    source = ModulationRemoved(run.source, run.sample_rate, carriers.frequency, curve, columns)
+    return replace(run, source=source)
+
+
+def _modulation(carriers: CarrierEnvelopes, k: int, amplitude: ComplexArray, response: ChannelResponse) -> ComplexArray:
+    """Return the envelope (t, signals) of harmonic `k` of the carriers less the mean that the regression yields.
+
+    The loads that explain the `amplitude` (signals,) of the channels best drive it, determined or not.
+    """
+    from scipy.fft import fft, ifft
+
+    envelope, count = carriers.envelopes[k], len(response.rows)
+    lines = fft(envelope)
+    kept = np.flatnonzero(np.abs(lines) > LEAST_LINE * np.abs(lines).max())
+    frequency = np.abs(carriers.frequency[k] + carriers.grid[kept])
+    share = fft(carriers.weight * envelope)[kept].conj() * lines[kept]
+    share /= share.sum()
+    T, H = response.at(frequency), response.filter(frequency)
+    mean = np.einsum("f,fcj->cj", share, T)
+    scale = np.linalg.norm(mean, axis=0)
+    scale[scale == 0.0] = 1.0
+    loads = np.linalg.lstsq(mean / scale, amplitude[:count], rcond=None)[0] / scale
+    driven = np.hstack([T @ loads, np.outer(H / (share @ H), amplitude[count:])])
+    spectrum = np.zeros((len(lines), len(amplitude)), complex)
+    spectrum[kept] = (driven - share @ driven) * lines[kept, None]
+    return np.asarray(ifft(spectrum, axis=0))
