@@ -6,10 +6,14 @@ import errno
 import os
 from pathlib import Path
 
+import numpy as np
+
 from balance_cli.io.errors import UserError
 from balance_cli.io.reader_process import read_in_child
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+SIGNATURE_OFFSETS = (0, 512, 1024, 2048, 4096)
+"""Places of the signature behind a user block, such as that of a MATLAB file; the format allows further doubling."""
 SNIFF_BYTES = 65536
 """Bytes at the start of a YAML file that are searched for the `format` key."""
 
@@ -24,14 +28,18 @@ def sniff_format(path: Path) -> str | None:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether the file begins with the HDF5 signature; what is not an ordinary file is not opened."""
+    """Whether the file begins with the HDF5 signature, or has it behind a user block.
+
+    What is not an ordinary file is not opened.
+    """
     if not path.is_file():
         return False
     try:
         with path.open("rb") as file:
-            return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
+            head = file.read(SIGNATURE_OFFSETS[-1] + len(HDF5_SIGNATURE))
     except OSError:
         return False
+    return any(head.startswith(HDF5_SIGNATURE, offset) for offset in SIGNATURE_OFFSETS)
 
 
 def describe_file(path: Path) -> str:
@@ -99,8 +107,11 @@ def _yaml_format(path: Path) -> str | None:
 def attribute_text(value: object) -> str | None:
     """An HDF5 attribute as text, with invalid UTF-8 replaced; None where it is not text.
 
-    Text of a fixed length, which h5py reads as bytes, is filled up with blanks by programs in Fortran and MATLAB.
+    Text of a fixed length, which h5py reads as bytes, is filled up with blanks by programs in Fortran and MATLAB. An
+    array of one entry, which MATLAB and C write as well, counts as that entry.
     """
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.ravel()[0]
     if isinstance(value, bytes):
         value = value.rstrip(b" \0")
     if isinstance(value, str):

@@ -85,7 +85,7 @@ def run_from_contents(contents: RunFileContents, source: SampleSource, path: Pat
         level=tuple(float(level) for level in as_list(attributes["level"])) if sweep else (),
         period=float(period) if sweep and period is not None else None,
         trim=attributes["trim"] if kind == "static" else None,
-        pulse_times=None if contents.pulse_times is None else np.asarray(contents.pulse_times, float),
+        pulse_times=_pulses_within(contents.pulse_times),
         attitude=_attitude_angles(contents),
         series_labels=None if contents.series is None else contents.series.labels,
         point_kinds=None if contents.point is None else contents.point.labels,
@@ -94,6 +94,14 @@ def run_from_contents(contents: RunFileContents, source: SampleSource, path: Pat
         path=path,
         conditions=dict(contents.conditions),
     )
+
+
+def _pulses_within(times: Array | None) -> Array | None:
+    """Pulse times [s] from the first sample on: pulses before it, of an earlier trigger, have no samples."""
+    if times is None:
+        return None
+    pulses = np.asarray(times, float)
+    return pulses[pulses >= 0.0]
 
 
 def _attitude_angles(contents: RunFileContents) -> Array | None:
