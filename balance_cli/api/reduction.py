@@ -19,7 +19,7 @@ from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.reduction.turned_harmonics import turn_warnings
+from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps.cross_checks import (
     compare_static_response,
@@ -81,7 +81,8 @@ def reduce(
     source = response_source(calibration, response, interpolation)
     declared = geometry if isinstance(response, str) else response.geometry
     at_rest = compare_static_response(calibration, source, declared)
-    findings = (*at_rest, *cross_check(geometry, records, known_anyway))
+    usual = () if isinstance(response, str) else response.usual_noise or ()
+    findings = (*at_rest, *cross_check(geometry, records, known_anyway, usual))
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")
@@ -95,8 +96,12 @@ def reduce(
     options = ReduceOptions(harmonics, rotor) if method == "harmonic" else in_time
     loads = [_reduce_run(run, geometry, calibration, source, reference, options) for run in used]
     reduced = flag_contradicted_runs({run.run: run for run in loads}, findings)
+    comparisons = compare_wind_runs(reduced)
+    reduced = flag_turned_runs(reduced, comparisons)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
-    warnings = sorted({*earlier, *filter(None, [fewer]), *_warnings(findings, records, loads)})
+    warnings = sorted(
+        {*earlier, *filter(None, [fewer]), *turn_warnings(comparisons), *_warnings(findings, records, loads)}
+    )
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
 
 
@@ -129,9 +134,8 @@ def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, 
 def _warnings(
     findings: Sequence[ConsistencyFinding], records: Sequence[Run], loads: Sequence[RunLoads]
 ) -> Iterator[str]:
-    """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out, loads turned."""
+    """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out."""
     yield from (finding.sentence for finding in findings)
-    yield from turn_warnings(loads)
     yield from (f"{run.name}: {describe_gaps(run)}" for run in records if describe_gaps(run))
     for run in loads:
         yield from (f"{run.run}: channel {channel} left out: {reason}" for channel, reason in run.left_out.items())

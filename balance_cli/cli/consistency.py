@@ -17,22 +17,28 @@ if TYPE_CHECKING:
     from balance_cli.diagnosis.consistency.severity import ConsequenceRule
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import RunLoads
+    from balance_cli.signals.nyquist_noise import UsualNoise
     from balance_cli.steps.cross_checks import ChecksRuns
 
 Result = TypeVar("Result", bound="ChecksRuns")
 
 
 def require_consistent_runs(
-    session: Session, geometry: Geometry, runs: tuple[Run, ...], skip_bad: bool, is_harmless: ConsequenceRule
+    session: Session,
+    geometry: Geometry,
+    runs: tuple[Run, ...],
+    skip_bad: bool,
+    is_harmless: ConsequenceRule,
+    usual_noise: Sequence[UsualNoise] = (),
 ) -> tuple[Run, ...]:
-    """Cross-check the runs of a command and return those that it may use.
+    """Cross-check the runs of a command, with the noise of sweeps made before, and return those that it may use.
 
     Raises UserError for a fault; with `skip_bad` the runs that show it are skipped, unless all runs do.
     """
     from balance_cli.diagnosis.consistency.campaign import campaign_findings
 
     paths = {run.name: str(run.path or run.name) for run in runs}
-    bad = inconsistent_runs(session, campaign_findings(geometry, runs), paths, skip_bad, is_harmless)
+    bad = inconsistent_runs(session, campaign_findings(geometry, runs, usual_noise), paths, skip_bad, is_harmless)
     for name, reason in bad.items():
         session.report_skipped(paths[name], f"{paths[name]}: {reason}")
     return tuple(run for run in runs if run.name not in bad)

@@ -32,6 +32,8 @@ def command(session: Session, loads: tuple[Path, ...], output: Path) -> None:
         return Shard(str(path), artefact.content, artefact.provenance)
 
     merged = merge_loads(read(path) for path in session.progress(loads, "shards", len(loads)))
+    for text in merged.new_warnings:
+        session.warn(text)
     provenance = replace(session.provenance(), options=merged.options, inputs=merged.inputs)
     write_loads(session, output, merged.loads, provenance)
     counts = [{"file": file, "runs": runs} for file, runs in merged.counts.items()]

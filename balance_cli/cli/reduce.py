@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import RunLoads
+    from balance_cli.signals.nyquist_noise import UsualNoise
 
 
 @balance_command("reduce")
@@ -144,22 +145,23 @@ def command(
     method_options.check(model is not None, history is not None, harmonics is not None)
     check_band_options(band, _is_given)
     cal = read_calibration(session, calibration)
-    geometry, source = read_response(session, cal, model, transfer, interpolation)
+    geometry, source, usual_noise = read_response(session, cal, model, transfer, interpolation)
     method_options.check_source(source, model)
     if band is not None:
-        _reduce_to_spectra(session, geometry, source, band, runs, batch, output)
+        _reduce_to_spectra(session, geometry, source, usual_noise, band, runs, batch, output)
         return
     from balance_cli.cli.batch.reduction import BatchReduction
 
-    reduction = Reduction(method_options, geometry, cal, source, None, history)
+    reduction = Reduction(method_options, geometry, cal, source, None, history, usual_noise=usual_noise)
     reduction, loads = BatchReduction(session, batch, skips).reduce(reduction, runs, zero, output)
-    _finish(session, reduction, loads, output)
+    _finish(session, reduction, loads, output, batch.shard is not None)
 
 
 def _reduce_to_spectra(
     session: Session,
     geometry: Geometry,
     source: ResponseSource,
+    usual_noise: tuple[UsualNoise, ...],
     band: tuple[float, float],
     paths: tuple[Path, ...],
     batch: BatchOptions,
@@ -171,23 +173,25 @@ def _reduce_to_spectra(
 
     skips = batch.skips(len(paths))
     records = session.runs(paths, geometry, skips)
-    records = require_consistent_runs(session, geometry, records, skips, known_anyway)
+    records = require_consistent_runs(session, geometry, records, skips, known_anyway, usual_noise)
     reduce_to_spectra(session, geometry, source, _rotor_runs(session, records), band, skips, output)
     if session.skipped and not batch.skip_bad:
         session.status = EXIT_RUNS_SKIPPED
 
 
-def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads], output: Path) -> None:
-    """Write the loads and set summary and text."""
+def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads], output: Path, is_shard: bool) -> None:
+    """Write the loads and set summary and text; `balance merge` compares the wind runs of shards with each other."""
     from balance_cli.cli.consistency import flag_contradicted_runs
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.response_description import text_with_rotor
     from balance_cli.reduction.result import HubLoads
-    from balance_cli.reduction.turned_harmonics import turn_warnings
+    from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 
     runs = flag_contradicted_runs(session, runs)
-    for text in turn_warnings(runs.values()) if not reduction.method.frequencies else ():
+    comparisons = compare_wind_runs(runs) if not (reduction.method.frequencies or is_shard) else ()
+    for text in turn_warnings(comparisons):
         session.warn(text)
+    runs = flag_turned_runs(runs, comparisons)
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ResponseSource
+    from balance_cli.signals.nyquist_noise import UsualNoise
 
 
 def parse_frequencies(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[float, ...]:
@@ -45,8 +46,8 @@ def read_calibration(session: Session, path: Path | None) -> Calibration | None:
 
 def read_response(
     session: Session, calibration: Calibration | None, model: Path | None, transfer: Path | None, interpolation: str
-) -> tuple[Geometry, ResponseSource]:
-    """Return the response: a model, a measured one, or the static matrix where neither is given; and its geometry.
+) -> tuple[Geometry, ResponseSource, tuple[UsualNoise, ...]]:
+    """Return geometry, response and the noise of its sweeps; the response is a model, measured, or the static matrix.
 
     Raises UserError where its geometry is not that of the calibration, or they contradict each other at rest.
     """
@@ -64,7 +65,7 @@ def read_response(
         repeat_findings(session, calibration, identified)
         source = model_sources.model_source(identified)
         compare_static_response(session, calibration, source, identified.geometry, model)
-        return _geometry(identified.geometry, calibration), source
+        return _geometry(identified.geometry, calibration), source, identified.usual_noise or ()
     if transfer is not None:
         from balance_cli.signals.response.transfer import Transfer
 
@@ -74,10 +75,10 @@ def read_response(
         repeat_findings(session, calibration, measured)
         source = transfer_source(measured, interpolation)
         compare_static_response(session, calibration, source, measured.geometry, transfer)
-        return _geometry(measured.geometry, calibration), source
+        return _geometry(measured.geometry, calibration), source, measured.usual_noise or ()
     assert calibration is not None
     repeat_findings(session, calibration)
-    return calibration.geometry, static_source(calibration)
+    return calibration.geometry, static_source(calibration), ()
 
 
 def _geometry(declared: Geometry, calibration: Calibration | None) -> Geometry:

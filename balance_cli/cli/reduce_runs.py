@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import RunLoads
+    from balance_cli.signals.nyquist_noise import UsualNoise
     from balance_cli.steps.reduce_in_time import TimeOptions
 
 
@@ -97,7 +98,7 @@ class Reduction:
     """Method, geometry, response and calibration of one call, and the folder of the histories (None: not written).
 
     Without a calibration the mean loads are not measured. `compare_runs`: whether the call has runs with known loads,
-    which are compared with each other.
+    which are compared with each other. `usual_noise`: of the channels in the sweeps that the response was measured in.
     """
 
     method: MethodOptions
@@ -107,6 +108,7 @@ class Reduction:
     zero: ZeroRecord | None
     histories: Path | None
     compare_runs: bool = False
+    usual_noise: tuple[UsualNoise, ...] = ()
 
     def reduce_run(self, run: Run, history_file: Path | None = None) -> RunLoads:
         """Reduce one run and write its history, if a file is given. UserError where it cannot be reduced."""

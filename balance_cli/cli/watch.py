@@ -90,10 +90,10 @@ def _start(session: Session, folder: Path, given: tuple[Any, ...], output: Path,
     from balance_cli.reduction.choices import HARMONIC, INTERPOLATIONS
 
     calibration, model, transfer, zero, harmonics = given
-    geometry, source = read_response(session, calibration, model, transfer, INTERPOLATIONS[0])
+    geometry, source, usual_noise = read_response(session, calibration, model, transfer, INTERPOLATIONS[0])
     reference = read_zero(session, calibration, zero, ()) if zero is not None else None
     options = MethodOptions(HARMONIC, None, None, harmonics or 0)
-    reduction = Reduction(options, geometry, calibration, source, reference, None)
+    reduction = Reduction(options, geometry, calibration, source, reference, None, usual_noise=usual_noise)
     quick_look = QuickLook(session, reduction, harmonics, zero is not None)
     watch = Watch(session, WatchedFolder(folder), quick_look, output, page_runs)
     watch.restore()

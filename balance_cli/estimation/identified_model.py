@@ -16,6 +16,7 @@ from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import System
+from balance_cli.signals.nyquist_noise import UsualNoise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,7 +93,8 @@ class IdentifiedModel(ResultView):
     `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` names the start of the
     maximum likelihood; `covariance` (p, p) is that of all parameters, with zero rows for exact ones; `unidentifiable`
     describes the directions that the data alone do not determine; `channels_left_out` {run: {channel: why}};
-    `consistency` is what the cross-checks said of the runs, None where nothing.
+    `consistency` is what the cross-checks said of the runs, None where nothing. `usual_noise` is that of the channels
+    near half the sample rate, which the sweeps have in common; None where they have none.
     """
 
     form: str
@@ -110,6 +112,7 @@ class IdentifiedModel(ResultView):
     paper: PaperFit | None = None
     response_error: ResponseError | None = field(default=None, metadata={"omit_if_none": True})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    usual_noise: tuple[UsualNoise, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def untrusted_channels(self) -> dict[str, str]:

@@ -12,6 +12,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.placed_effects import needs_mean
 from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
+from balance_cli.signals.nyquist_noise import RunNoise, UsualNoise, measure_nyquist_noise, usual_noise
 from balance_cli.signals.periodic import has_whole_periods, periodic_spectrum
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from balance_cli.signals.single_force import single_force
@@ -28,13 +29,15 @@ class Spectra:
     """Lines and static points of a campaign.
 
     `unused` {run: why}: runs that an identification cannot use; `channels_left_out` {run: {channel: why}}: channels
-    that were dead, clipped, absent or not finite.
+    that were dead, clipped, absent or not finite. `usual_noise`: of the channels near half the sample rate, which the
+    sweeps have in common.
     """
 
     lines: tuple[RunSpectrum, ...]
     statics: tuple[StaticPoints, ...]
     unused: dict[str, str]
     channels_left_out: dict[str, dict[str, str]]
+    usual_noise: tuple[UsualNoise, ...] = ()
 
 
 def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None = None) -> Spectra:
@@ -50,6 +53,7 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
     statics: list[StaticPoints] = []
     unused: dict[str, str] = {}
     left_out: dict[str, dict[str, str]] = {}
+    levels: list[RunNoise | None] = []
     for run in runs:
         if run.kind not in ("sweep", "static"):
             unused[run.name] = f"a {run.kind} run is not used in a fit"
@@ -68,7 +72,9 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
                 unused[run.name] = error.fault
         else:
             lines.append(_sweep_lines(run, health.live, geometry, means))
-    return Spectra(tuple(lines), tuple(statics), unused, left_out)
+            levels.append(measure_nyquist_noise(run, geometry.channel_names))
+    common = usual_noise(levels, geometry.channel_names)
+    return Spectra(tuple(lines), tuple(statics), unused, left_out, common)
 
 
 def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, means: bool) -> RunSpectrum:

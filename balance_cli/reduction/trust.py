@@ -175,6 +175,10 @@ def flag_filter(loads: RunLoads, tests: InnovationTests | None) -> RunLoads:
     return flag_all(loads, FILTER_CONTRADICTED) if filter_is_contradicted(tests) else loads
 
 
-def flag_all(loads: RunLoads, flag: str) -> RunLoads:
-    """Return the loads with a flag at every row."""
-    return replace(loads, flags=tuple(tuple(join_flags((word, flag)) for word in row) for row in loads.flags))
+def flag_all(loads: RunLoads, flag: str, first_harmonic: int = 0) -> RunLoads:
+    """Return the loads with a flag at every row, or at those from a harmonic on."""
+    flags = (
+        tuple(join_flags((word, flag)) for word in row) if harmonic >= first_harmonic else row
+        for harmonic, row in enumerate(loads.flags)
+    )
+    return replace(loads, flags=tuple(flags))

@@ -7,13 +7,18 @@ loads. But two points of a test are seldom so alike, and turned.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import re
+from collections import ChainMap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trust import flag_all
 
 ComplexArray = NDArray[np.complex128]
 
@@ -34,20 +39,102 @@ LARGEST_TURN, STEP = 60.0, 0.25
 """[deg] that are tried: half of a sector of three marks, and steps below the scatter."""
 
 
-def turn_warnings(runs: Iterable[RunLoads]) -> Iterator[str]:
-    """Yield a warning for each wind run whose loads are those of the wind run before, turned or reversed."""
-    for before, after in pairwise(run for run in runs if run.kind == "wind"):
-        turn = common_turn(before, after)
-        if is_reversed(before, after):
-            yield (
-                f"{after.run}: its loads are those of {before.run} with the opposite sign: "
+@dataclass(frozen=True)
+class RunComparison:
+    """A wind run beside the wind run before it in the order of names.
+
+    `turn` [deg]: by what the harmonics are turned, 0 where they are alike, None where they tell nothing. `sign`: 1
+    where the loads are alike, -1 where they have the opposite sign, 0 where neither.
+    """
+
+    before: str
+    after: str
+    turn: float | None
+    sign: int
+
+    @property
+    def warning(self) -> str:
+        """What is to be known of the two runs, in words; empty where nothing is."""
+        if self.sign < 0:
+            return (
+                f"{self.after}: its loads are those of {self.before} with the opposite sign: "
                 "were all channels reversed in one of them?"
             )
-        elif turn is not None and abs(turn) > SMALLEST_TURN:
-            yield (
-                f"{after.run}: its harmonics n are those of {before.run} turned by n times {turn:+.1f} deg of azimuth: "
-                "do the pulses come from another edge or mark, or was the model yawed?"
+        if self.turn:
+            return (
+                f"{self.after}: its harmonics n are those of {self.before} turned by n times {self.turn:+.1f} deg of "
+                "azimuth: do the pulses come from another edge or mark, or was the model yawed?"
             )
+        return ""
+
+
+def compare_wind_runs(runs: Mapping[str, RunLoads]) -> tuple[RunComparison, ...]:
+    """Compare each wind run with the one before it by name, where numbers count as such, whatever the order given."""
+    in_order = (runs[name] for name in sorted(runs, key=_name_parts))
+    return tuple(_compare(*pair) for pair in pairwise(run for run in in_order if run.kind == "wind"))
+
+
+def _name_parts(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Return the parts of a name, text and numbers in turn, and the name itself; a longer number is a larger one."""
+    parts = re.split("([0-9]+)", name)
+    return [(len(part.lstrip("0")), part.lstrip("0")) if i % 2 else (0, part) for i, part in enumerate(parts)], name
+
+
+def turn_warnings(comparisons: Iterable[RunComparison]) -> Iterator[str]:
+    """Yield a warning for each wind run whose loads are those of the wind run before, turned or reversed."""
+    return (item.warning for item in comparisons if item.warning)
+
+
+def flag_turned_runs(runs: Mapping[str, RunLoads], comparisons: Sequence[RunComparison]) -> Mapping[str, RunLoads]:
+    """Return the loads with the harmonics of turned runs, and all loads of reversed runs, flagged.
+
+    Of runs that are alike but for a turn or the sign, those that differ from most of them are flagged; all of them
+    where no turn or sign is that of most.
+    """
+    signs = [(item.before, item.after, (1 - item.sign) * 90.0 if item.sign else None) for item in comparisons]
+    turns = [(item.before, item.after, item.turn) for item in comparisons]
+    of_other_sign = _differing_runs(signs)
+    flagged = {name: flag_all(runs[name], MODEL_CONTRADICTED) for name in of_other_sign}
+    for name in _differing_runs(turns) - of_other_sign:
+        flagged[name] = flag_all(runs[name], MODEL_CONTRADICTED, first_harmonic=1)
+    return ChainMap(flagged, runs) if flagged else runs  # type: ignore[arg-type]  # which is only read
+
+
+def _compare(before: RunLoads, after: RunLoads) -> RunComparison:
+    sign = _common_sign(before, after)
+    turn = common_turn(before, after) if sign >= 0 else None
+    if turn is not None and abs(turn) <= SMALLEST_TURN:
+        turn = 0.0
+    return RunComparison(before.run, after.run, turn, sign)
+
+
+def _differing_runs(changes: Iterable[tuple[str, str, float | None]]) -> set[str]:
+    """Return the runs that differ from most of the runs in their chain, by (run, next run, angle [deg] between them).
+
+    A chain ends where an angle is None.
+    """
+    differing: set[str] = set()
+    chain: dict[str, float] = {}
+    for before, after, angle in changes:
+        if angle is None:
+            differing |= _minority(chain)
+            chain = {}
+        else:
+            chain.setdefault(before, 0.0)
+            chain[after] = (chain[before] + angle) % 360.0
+    return differing | _minority(chain)
+
+
+def _minority(angles: Mapping[str, float]) -> set[str]:
+    """Return the runs whose angle [deg] is not that of most; all where there is no such angle, none where all agree."""
+    if not angles:
+        return set()
+    values = np.array(list(angles.values()))
+    distinct = np.unique(np.round(values))
+    agrees = np.abs((values - distinct[:, None] + 180.0) % 360.0 - 180.0) <= SMALLEST_TURN
+    usual = agrees[np.argmax(agrees.sum(axis=1))]
+    has_majority = 2 * usual.sum() > len(usual)
+    return {name for name, agreeing in zip(angles, usual, strict=True) if not (agreeing and has_majority)}
 
 
 def common_turn(before: RunLoads, after: RunLoads) -> float | None:
@@ -65,16 +152,18 @@ def common_turn(before: RunLoads, after: RunLoads) -> float | None:
     return float(equal[np.argmin(np.abs(equal))]) if correlation.max() > LEAST_CORRELATION else None
 
 
-def is_reversed(before: RunLoads, after: RunLoads) -> bool:
-    """Return whether the harmonics of a run, or its mean loads, are those of the other with the opposite sign.
+def _common_sign(before: RunLoads, after: RunLoads) -> int:
+    """Return 1 where the harmonics of a run, or its mean loads, are those of the other, -1 where reversed, else 0.
 
     The harmonics decide where they are alike; those of another phase tell nothing, and mean loads keep their sign.
     """
     products = _harmonic_products(before, after)
-    if products is not None and abs(products.sum().real) > LEAST_CORRELATION:
-        return bool(products.sum().real < 0.0)
-    clear, alike = _likeness(before, after)
-    return bool(clear[0].sum() >= FEWEST_MEANS and alike[0, clear[0]].real.mean() < -LEAST_CORRELATION)
+    correlation = 0.0 if products is None else float(products.sum().real)
+    if abs(correlation) <= LEAST_CORRELATION:
+        clear, alike = _likeness(before, after)
+        decides = clear[0].sum() >= FEWEST_MEANS
+        correlation = float(alike[0, clear[0]].real.mean()) if decides else 0.0
+    return int(np.sign(correlation)) if abs(correlation) > LEAST_CORRELATION else 0
 
 
 def _harmonic_products(before: RunLoads, after: RunLoads) -> ComplexArray | None:

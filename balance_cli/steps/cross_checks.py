@@ -19,6 +19,7 @@ from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import flag_all
+from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.steps.static_agreement import static_findings
 from balance_cli.steps.trim_agreement import trim_findings
 
@@ -39,10 +40,13 @@ Result = TypeVar("Result", bound=ChecksRuns)
 
 
 def cross_check(
-    geometry: Geometry, runs: Sequence[Run], is_harmless: ConsequenceRule
+    geometry: Geometry, runs: Sequence[Run], is_harmless: ConsequenceRule, usual_noise: Sequence[UsualNoise] = ()
 ) -> tuple[ConsistencyFinding, ...]:
-    """Cross-check the runs of a step and return what is not a fault for it. Raises UserError for the first fault."""
-    findings = findings_for_command(campaign_findings(geometry, runs), is_harmless)
+    """Cross-check the runs of a step, with the noise of sweeps made before, and return what is not a fault for it.
+
+    Raises UserError for the first fault.
+    """
+    findings = findings_for_command(campaign_findings(geometry, runs, usual_noise), is_harmless)
     for finding in findings:
         if finding.is_fault:
             raise contradiction_error(finding, {run.name: str(run.path or run.name) for run in runs})

@@ -60,7 +60,7 @@ def diagnose(
         spectra, batches, update = exclusion.spectra, exclusion.batches, replace(exclusion.update, trials=trials)
     fit = update.fit
     after = (fit.model, fit.theta)
-    updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
+    updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
     same_effects = effect_labels(fit.model) == effect_labels(before[0])
     if same_effects and exclusion is None and updated.quality.chi2 > quality.chi2:
         # The effects are the same, and a fit that had to carry a model error describes the data worse.

@@ -112,7 +112,7 @@ def _identify_physical_form(spectra: Spectra, geometry: Geometry, options: Ident
         # Along the frequency of a tone chi-square has a minimum for each lobe of the spectrum.
         settings = replace(DEFAULT_SETTINGS, fit=replace(DEFAULT_SETTINGS.fit, comparison_tolerance=TOLERANCE))
         minimum = refit_at_best_frequency(Fit(model, minimum), model.effects, batches, settings).minimum
-    return build_identified_model(model, batches, minimum, options.method, start, spectra.channels_left_out)
+    return build_identified_model(model, batches, minimum, options.method, start, spectra)
 
 
 def _restrict_to_band(lines: RunSpectrum, band: tuple[float, float]) -> RunSpectrum:
@@ -197,7 +197,7 @@ def build_identified_model(
     minimum: Minimum,
     method: str,
     start: str,
-    left_out: dict[str, dict[str, str]],
+    spectra: Spectra,
 ) -> IdentifiedModel:
     """The model at a minimum with its covariance, modes and quality; `start` and `method` name how it was found."""
     covariance = covariance_from_information(minimum.total.information)
@@ -217,10 +217,11 @@ def build_identified_model(
         unidentifiable=()
         if method == "computed"
         else unidentifiable_directions(model.parameters, minimum.data.information),
-        channels_left_out=left_out,
+        channels_left_out=spectra.channels_left_out,
         iterations=minimum.iterations,
         converged=minimum.converged,
         response_error=_error_of_misfit(batches, system, quality, model.geometry),
+        usual_noise=spectra.usual_noise or None,
     )
 
 

@@ -39,6 +39,7 @@ def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperO
         converged=fit.converged,
         response_error=estimate_row_error(fit, geometry, spectra.lines),
         paper=fit,
+        usual_noise=spectra.usual_noise or None,
     )
 
 

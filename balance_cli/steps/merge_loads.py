@@ -10,7 +10,9 @@ from balance_cli.campaign.rig.geometry_file import geometry_digest
 from balance_cli.io.artefacts import Input, Provenance
 from balance_cli.io.errors import UserError
 from balance_cli.io.stored_mapping import StoredMapping
+from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 
 RUN_ROLE = "run"
 REMEDY = "Merge shards of one reduction: the same options, calibration, response and zero run"
@@ -27,12 +29,16 @@ class Shard:
 
 @dataclass(frozen=True)
 class MergedShards:
-    """The loads of all shards; options and inputs of their reduction; the number of runs of each file."""
+    """The loads of all shards; options and inputs of their reduction; the number of runs of each file.
+
+    `new_warnings`: what the comparison of runs of different shards says.
+    """
 
     loads: HubLoads
     options: Mapping[str, Any]
     inputs: tuple[Input, ...]
     counts: Mapping[str, int]
+    new_warnings: tuple[str, ...]
 
 
 class _Ordered(Mapping[str, RunLoads]):
@@ -54,6 +60,7 @@ class _Ordered(Mapping[str, RunLoads]):
 def merge_loads(shards: Iterable[Shard]) -> MergedShards:
     """Return the loads of all shards, runs in the order of their names; one shard at a time is in memory.
 
+    The wind runs, of which a shard holds only some, are compared with each other.
     Raises UserError where two shards come from different reductions, or have a run in common.
     """
     first: _Reduction | None = None
@@ -77,8 +84,11 @@ def merge_loads(shards: Iterable[Shard]) -> MergedShards:
         inputs |= dict.fromkeys(shard.provenance.inputs)
         counts[shard.file] = len(shard.loads.runs)
     assert first is not None
-    merged = replace(first.loads, runs=_Ordered(runs), warnings=tuple(sorted(warnings)) or None)
-    return MergedShards(merged, first.provenance.options, tuple(inputs), counts)
+    comparisons = compare_wind_runs(runs) if first.loads.method != FREQUENCIES else ()
+    new_warnings = tuple(turn_warnings(comparisons))
+    ordered = flag_turned_runs(_Ordered(runs), comparisons)
+    merged = replace(first.loads, runs=ordered, warnings=tuple(sorted({*warnings, *new_warnings})) or None)
+    return MergedShards(merged, first.provenance.options, tuple(inputs), counts, new_warnings)
 
 
 @dataclass(frozen=True)

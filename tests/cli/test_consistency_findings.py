@@ -1,6 +1,7 @@
 """What the cross-checks say reaches the artefacts, and through them the loads: JSON, warnings, flags."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -8,10 +9,17 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.api.artefacts import load_artefact
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.geometry_file import geometry_from_dict, geometry_to_dict, save_geometry
 from balance_cli.cli import balance
-from balance_cli.diagnosis.consistency.findings import CHANNEL_FACTOR, DIFFERENT_RIG, FREQUENCIES, HUB_POSITION
+from balance_cli.diagnosis.consistency.findings import (
+    CHANNEL_FACTOR,
+    DIFFERENT_RIG,
+    FREQUENCIES,
+    HUB_POSITION,
+    NOISE_LEVEL,
+)
 from balance_cli.diagnosis.consistency.severity import contradicts_loads
 from balance_cli.simulation import CampaignPlan, Noise, RotorPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
@@ -20,15 +28,20 @@ from tests.support.rigs import rotor_balance
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Sweeps of every component and a check run, with a geometry whose hub is 0.1 m aside."""
+    """Sweeps of every component, a check run, wind runs, one of them in mV; the hub of the geometry is 0.1 m aside."""
     folder = tmp_path_factory.mktemp("hub-aside")
     sweeps = [
         SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=2.0, periods=4)
         for name, level in HIGH_SWEEP_LEVELS.items()
     ]
     check = RotorPlan(run="check-1", rotor_speed=17.5, duration=6.0, harmonics={"Fx": (40.0, 20.0), "Fz": (60.0, 30.0)})
-    for run in simulate_campaign(true_rig(rotor_balance()), CampaignPlan(runs=(*sweeps, check)), Noise(), 3).runs:
+    winds = [RotorPlan(run=f"wind-{k}", rotor_speed=17.5, duration=4.0, kind="wind") for k in (1, 2)]
+    plan = CampaignPlan(runs=(*sweeps, check, *winds))
+    for run in simulate_campaign(true_rig(rotor_balance()), plan, Noise(), 3).runs:
         write_run(folder / f"{run.name}.h5", run)
+    assert run.kind == "wind"
+    millivolts = replace(run, name="wind-mV", source=MemorySource(1e3 * run.read().channels, None))
+    write_run(folder / "wind-mV.h5", millivolts)
     content = geometry_to_dict(rotor_balance())
     content["hub"] = [0.1, *content["hub"][1:]]
     save_geometry(folder / "geometry.yaml", geometry_from_dict(content))
@@ -68,8 +81,24 @@ def test_a_warning_about_the_sweeps_reaches_the_loads(folder: Path) -> None:
     assert f"{folder / 'check-1.h5'}: the response to Fx was measured from" in result.output
 
 
+def test_the_noise_of_the_sweeps_that_a_response_keeps_is_compared_with_that_of_wind_runs(folder: Path) -> None:
+    transfer, table = folder / "tf.h5", folder / "winds.csv"
+    if not transfer.exists():
+        call("sweep-tf", "-g", folder / "geometry.yaml", *sorted(folder.glob("sweep-*.h5")), "-o", transfer)
+    winds = sorted(folder.glob("wind-*.h5"))
+    said = call("reduce", "--transfer", transfer, *winds, "--harmonics", 2, "-o", table)
+    (finding,) = said["consistency"]
+    assert (finding["kind"], finding["runs"]) == (NOISE_LEVEL, ["wind-mV"]) and 900.0 < finding["factor"] < 1100.0
+    assert finding["text"] in said["warnings"]
+    contradicted = (
+        pd.read_csv(table).groupby("run")["flag"].agg(lambda flags: flags.str.contains("model contradicted").all())
+    )
+    assert contradicted.to_dict() == {"wind-1": False, "wind-2": False, "wind-mV": True}
+
+
 def test_only_what_changes_loads_flags_them() -> None:
     assert contradicts_loads(DIFFERENT_RIG, in_all_runs=False)
+    assert contradicts_loads(NOISE_LEVEL, in_all_runs=True, factor=1e3)
     assert contradicts_loads(CHANNEL_FACTOR, in_all_runs=False, factor=1e-3)
     assert not contradicts_loads(CHANNEL_FACTOR, in_all_runs=False, factor=1.2)
     assert not contradicts_loads(CHANNEL_FACTOR, in_all_runs=True, factor=1e3)

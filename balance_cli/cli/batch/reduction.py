@@ -24,11 +24,13 @@ from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.reduce_inputs import read_zero
 from balance_cli.cli.reduce_runs import Reduction, check_name
 from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
+from balance_cli.diagnosis.consistency.noise_levels import compare_noise
 from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.stored_mapping import StoredMapping
 from balance_cli.reduction.result import RunLoads
+from balance_cli.signals.nyquist_noise import RunNoise
 from balance_cli.signals.response_rows import ResponseRows
 from balance_cli.steps.reduction_inputs import default_harmonics
 
@@ -50,6 +52,7 @@ class BatchReduction:
     loads: StoredMapping[RunLoads] = field(default_factory=StoredMapping)
     rows: list[ResponseRows] = field(default_factory=list)
     levels: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    noise: list[RunNoise] = field(default_factory=list)
     paths: dict[str, str] = field(default_factory=dict)
     errors: dict[Path, UserError] = field(default_factory=dict)
     histories: list[Path] = field(default_factory=list)
@@ -238,6 +241,8 @@ class BatchReduction:
         if result.rows is not None:
             self.rows.append(result.rows)
             self.levels[result.name] = result.level
+        if result.noise is not None:
+            self.noise.append(result.noise)
 
     def _add_error(self, path: Path, error: UserError, reduction: Reduction) -> None:
         """Keep the error of a run, or raise it; an error that the comparison of the runs explains comes first."""
@@ -264,12 +269,13 @@ class BatchReduction:
             self.session.report_skipped(self.paths[name], f"{self.paths[name]}: {reason}")
 
     def _findings(self, reduction: Reduction) -> Sequence[ConsistencyFinding]:
-        """Compare the runs with known loads; a batch of wind runs does not import what that takes."""
+        """Compare the noise of all runs, and the runs with known loads: wind runs do not import what that takes."""
+        noise = compare_noise(self.noise, reduction.geometry.channel_names, reduction.usual_noise)
         if not self.rows:
-            return ()
+            return noise
         from balance_cli.diagnosis.consistency.campaign import findings_from_rows
 
-        return findings_from_rows(reduction.geometry, self.rows, self.levels)
+        return (*findings_from_rows(reduction.geometry, self.rows, self.levels), *noise)
 
     def _skip(self, path: Path, error: UserError) -> None:
         if not self.skips:

@@ -12,6 +12,7 @@ from balance_cli.campaign.recording.run_file import open_matching_run, run_heade
 from balance_cli.cli.reduce_runs import Reduction
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.result import RunLoads
+from balance_cli.signals.nyquist_noise import RunNoise, measure_nyquist_noise
 from balance_cli.signals.response_rows import ResponseRows, response_rows
 from balance_cli.steps.reduction_inputs import default_harmonics, harmonics_within_band
 
@@ -44,7 +45,8 @@ class RunResult:
     """What became of a run: its loads where it is a check or wind run, and what is compared with other runs.
 
     `gaps` {signal: counts} and `gap_text`: samples that were interpolated; `rows` and `level` where its loads are
-    known. `error`: why a run that could be read could not be reduced.
+    known; `noise`: of its channels, where there is some to compare it with. `error`: why a run that could be read
+    could not be reduced.
     """
 
     name: str
@@ -56,6 +58,7 @@ class RunResult:
     rows: ResponseRows | None
     level: tuple[float, ...]
     error: UserError | None = None
+    noise: RunNoise | None = None
 
 
 def survey_run(item: Item) -> RunSurvey:
@@ -81,13 +84,15 @@ def reduce_file(item: Item) -> RunResult:
     reduction = _reduction(item.reduction)
     run = open_matching_run(item.path, reduction.geometry, hold=True)
     rows = response_rows(run, reduction.geometry.channel_names) if reduction.compare_runs else None
+    compares_noise = reduction.compare_runs or reduction.usual_noise
+    noise = measure_nyquist_noise(run, reduction.geometry.channel_names) if compares_noise else None
     loads, fault = None, None
     try:
         loads = reduction.reduce_run(run, item.history) if run.kind in ROTOR_KINDS else None
     except UserError as error:
         fault = error.with_file_of(run.name, str(item.path))
     gaps = gap_summary(run), describe_gaps(run)
-    return RunResult(run.name, run.kind, run.digest, *gaps, loads, rows, run.level, fault)
+    return RunResult(run.name, run.kind, run.digest, *gaps, loads, rows, run.level, fault, noise)
 
 
 def pickled(reduction: Reduction) -> bytes:

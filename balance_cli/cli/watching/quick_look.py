@@ -72,7 +72,8 @@ class QuickLook:
             raise NoRotorLoadsError(f"is a file of format `{declared}`")
         run = open_runs((path,), self.reduction.geometry)[0][0]
         self._check_name(run, path)
-        require_consistent_runs(self.session, self.reduction.geometry, (run,), False, known_anyway)
+        reduction = self.reduction
+        require_consistent_runs(self.session, reduction.geometry, (run,), False, known_anyway, reduction.usual_noise)
         if run.kind not in ROTOR_KINDS:
             self._take_other_kind(run)
         loads = self._reduction_of(run).reduce_run(run)

@@ -29,6 +29,7 @@ from balance_cli.diagnosis.consistency.noise_levels import noise_findings
 from balance_cli.diagnosis.consistency.search import find_mistakes
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, suggest_units
 from balance_cli.model.balance import balance_model
+from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response_rows import ResponseRows, response_rows
 
 LARGEST_LEVEL_RATIO = 3.0
@@ -42,18 +43,20 @@ BEYOND_TOLERANCES = float(np.log(10.0))
 """Logarithm of the ratio of measured to computed responses from which no effect, but only wrong numbers explain it."""
 
 
-def campaign_findings(geometry: Geometry, runs: Iterable[Run]) -> tuple[ConsistencyFinding, ...]:
+def campaign_findings(
+    geometry: Geometry, runs: Iterable[Run], stored_noise: Sequence[UsualNoise] = ()
+) -> tuple[ConsistencyFinding, ...]:
     """Cross-check the runs with known loads against the geometry and against each other; faults first.
 
-    Of runs without loads only the noise is compared. What the given runs cannot show has no finding, nor has a geometry
-    without mechanics.
+    Of runs without loads only the noise is compared, also with `stored_noise` of sweeps that are not given. What the
+    given runs cannot show has no finding, nor has a geometry without mechanics.
     """
     if missing_mechanics(geometry):
         return ()
     runs = tuple(runs)
     rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
     findings = findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
-    return (*findings, *noise_findings(runs, geometry.channel_names))
+    return (*findings, *noise_findings(runs, geometry.channel_names, stored_noise))
 
 
 def _rows_with_level(run: Run, geometry: Geometry) -> tuple[ResponseRows, tuple[float, ...]] | None:

@@ -7,88 +7,56 @@ that arises behind them shows neither.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.run import Run, pick_channels
+from balance_cli.campaign.recording.run import Run
 from balance_cli.diagnosis.consistency.findings import NOISE_LEVEL, WARNING, ConsistencyFinding
+from balance_cli.signals.nyquist_noise import (
+    KINDS_WITH_KNOWN_LOADS,
+    RunNoise,
+    UsualNoise,
+    measure_nyquist_noise,
+    usual_noise,
+)
 
 Array = NDArray[np.float64]
 
-MOST_SAMPLES = 2**14
-"""Samples of a record that are transformed: some thousand lines in the band."""
-FEWEST_SAMPLES = 1024
-"""With fewer the level of a channel is not known to a tenth."""
-BAND = (0.8, 0.95)
-"""Of half the sample rate: above what is excited, and below what the filters of converters remove."""
-EIGENVALUE_FACTOR = 1.5
-"""Of the largest eigenvalue of the correlation of c channels at k lines, over the (1 + sqrt(c/k))^2 of independent
-noise (Marchenko and Pastur, 1967): loads that reach the band drive all channels together."""
-LARGEST_SPREAD = 1.5
-"""Ratio of the levels of a channel in the runs with known loads. Where they differ by more, as where noise grows with
-the signal, the level of a wind run tells nothing."""
 SMALLEST_RATIO = 2.0
 """Of all channels at once: amplifiers repeat their noise to some tenths."""
 
 
-@dataclass(frozen=True)
-class _Level:
-    """Root of the density (c,) in the band, up to a factor, NaN where there is none; whether it is of the channels."""
+def noise_findings(
+    runs: Sequence[Run], channel_names: tuple[str, ...], stored: Sequence[UsualNoise] = ()
+) -> list[ConsistencyFinding]:
+    """Return findings for the wind runs in which all channels have much less or more noise than in the other runs.
 
-    run: Run
-    amplitude: Array
-    independent: bool
-
-
-def noise_findings(runs: Sequence[Run], channel_names: tuple[str, ...]) -> list[ConsistencyFinding]:
-    """Return a finding for the wind runs in which all channels have much less or more noise than in the other runs."""
+    `stored` is the noise of runs that are not given, those that a response was measured in.
+    """
     if not any(run.kind == "wind" for run in runs):
         return []
-    findings = []
-    for rate in sorted({run.sample_rate for run in runs if run.sample_rate}):
-        levels = [_noise_level(run, channel_names) for run in runs if run.sample_rate == rate and run.kind != "zero"]
-        known = [level for level in levels if level.run.kind in ("sweep", "check") and level.independent]
-        usual = _common_level(known)
-        if usual is not None:
-            ratios = [(level, _common_ratio(level, usual)) for level in levels if level.run.kind == "wind"]
-            findings += [_describe(level.run, ratio) for level, ratio in ratios if ratio is not None]
-    return findings
+    compared = [run for run in runs if run.kind in (*KINDS_WITH_KNOWN_LOADS, "wind")]
+    levels = [level for run in compared if (level := measure_nyquist_noise(run, channel_names)) is not None]
+    return compare_noise(levels, channel_names, stored)
 
 
-def _noise_level(run: Run, channel_names: tuple[str, ...]) -> _Level:
-    count = min(run.samples, MOST_SAMPLES)
-    if count < FEWEST_SAMPLES:
-        return _Level(run, np.full(len(channel_names), np.nan), False)
-    channels = pick_channels(run.read(run.samples - count).channels, run.channel_names, channel_names)
-    spectrum = np.fft.rfft((channels - channels[0]) * np.hanning(count)[:, None], axis=0)
-    first, last = (int(share * (len(spectrum) - 1)) for share in BAND)
-    lines = spectrum[first:last]
-    amplitude = np.sqrt(np.mean(np.abs(lines) ** 2, axis=0) / count)
-    usable = np.isfinite(amplitude) & (amplitude > 0)
-    normed = lines[:, usable] / (amplitude[usable] * np.sqrt(count))
-    correlation = (normed.conj().T @ normed) / len(lines)
-    largest = float(np.linalg.eigvalsh(correlation)[-1]) if usable.any() else np.inf
-    limit = EIGENVALUE_FACTOR * (1.0 + np.sqrt(usable.sum() / len(lines))) ** 2
-    return _Level(run, np.where(usable, amplitude, np.nan), bool(largest < limit))
+def compare_noise(
+    levels: Iterable[RunNoise], channel_names: tuple[str, ...], stored: Sequence[UsualNoise] = ()
+) -> list[ConsistencyFinding]:
+    """As `noise_findings`, from the noise of the runs; `stored` noise counts before that of the runs."""
+    levels = tuple(levels)
+    usual = {item.sample_rate: item for item in (*usual_noise(levels, channel_names), *stored)}
+    wind = [level for level in levels if level.kind == "wind" and level.sample_rate in usual]
+    ratios = {level.run: _common_ratio(level, usual[level.sample_rate], channel_names) for level in wind}
+    return [_describe(run, ratio) for run, ratio in ratios.items() if ratio is not None]
 
 
-def _common_level(levels: Sequence[_Level]) -> Array | None:
-    """Return the level (c,) that several runs have in common; None where they have none."""
-    if len(levels) < 2:
-        return None
-    amplitudes = np.array([level.amplitude for level in levels])
-    known = np.isfinite(amplitudes).all(axis=0)
-    if not known.any() or np.any(amplitudes[:, known].max(axis=0) > LARGEST_SPREAD * amplitudes[:, known].min(axis=0)):
-        return None
-    return np.where(known, np.median(amplitudes, axis=0), np.nan)
-
-
-def _common_ratio(level: _Level, usual: Array) -> float | None:
+def _common_ratio(level: RunNoise, usual: UsualNoise, channel_names: tuple[str, ...]) -> float | None:
     """Return by what all channels have more or less noise than usual; None where not all of them do."""
-    ratios = level.amplitude / usual
+    place = dict(zip(usual.channel_names, usual.amplitude, strict=True))
+    ratios = level.amplitude / np.array([place.get(name, np.nan) for name in channel_names])
     ratios = ratios[np.isfinite(ratios)]
     if not len(ratios):
         return None
@@ -97,8 +65,8 @@ def _common_ratio(level: _Level, usual: Array) -> float | None:
     return float(np.median(ratios)) if less or more else None
 
 
-def _describe(run: Run, ratio: float) -> ConsistencyFinding:
+def _describe(run: str, ratio: float) -> ConsistencyFinding:
     text = f"all channels have {ratio:.3g} times the noise that they have in the runs with known loads"
     return ConsistencyFinding(
-        NOISE_LEVEL, WARNING, f"{text}: another gain, unit or filter?", (run.name,), factor=float(f"{ratio:.3g}")
+        NOISE_LEVEL, WARNING, f"{text}: another gain, unit or filter?", (run,), factor=float(f"{ratio:.3g}")
     )

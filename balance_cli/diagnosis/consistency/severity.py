@@ -50,12 +50,13 @@ def known_anyway(finding: ConsistencyFinding) -> bool:
 def contradicts_loads(kind: str, in_all_runs: bool, factor: float | None = None) -> bool:
     """Whether a warning of this kind makes the loads of the runs that show it doubtful.
 
-    A hub elsewhere changes moments. A large factor of channels that other runs do not have came after the sweeps; a
-    small one may be an effect that the model knows.
+    A hub elsewhere changes moments, and another noise of all channels is that of another gain, unit or filter. A large
+    factor of channels that other runs do not have came after the sweeps; a small one may be an effect that the model
+    knows.
     """
     if kind in FACTOR_KINDS and not in_all_runs and factor:
         return not 1.0 / LARGE_FACTOR <= abs(factor) <= LARGE_FACTOR
-    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION)
+    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION, kinds.NOISE_LEVEL)
 
 
 def findings_for_command(

@@ -12,6 +12,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import ResultView, plural, warning_lines
+from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ class Transfer(ResultView):
 
     `estimator` is the one that was requested; each response names the one that was used. `steady_parts` maps each
     periodic run to the part that was used, `channels_left_out` {run: {channel: reason}} and `unused_runs` {run: reason}
-    say what was not used; `consistency` is what the cross-checks said of the runs, None where nothing.
+    say what was not used; `consistency` is what the cross-checks said of the runs, None where nothing. `usual_noise` is
+    that of the channels near half the sample rate, which the sweeps have in common; None where they have none.
     """
 
     geometry: Geometry
@@ -52,6 +54,7 @@ class Transfer(ResultView):
     channels_left_out: dict[str, dict[str, str]] = field(default_factory=dict)
     unused_runs: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "unused"})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    usual_noise: tuple[UsualNoise, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Runs, components and band, least coherence, channels left out."""
