@@ -20,6 +20,7 @@ from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
+from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps.cross_checks import (
     compare_static_response,
@@ -81,8 +82,7 @@ def reduce(
     source = response_source(calibration, response, interpolation)
     declared = geometry if isinstance(response, str) else response.geometry
     at_rest = compare_static_response(calibration, source, declared)
-    usual = () if isinstance(response, str) else response.usual_noise or ()
-    findings = (*at_rest, *cross_check(geometry, records, known_anyway, usual))
+    findings = (*at_rest, *cross_check(geometry, records, known_anyway, _noise_of_sweeps(response)))
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")
@@ -139,6 +139,11 @@ def _warnings(
     yield from (f"{run.name}: {describe_gaps(run)}" for run in records if describe_gaps(run))
     for run in loads:
         yield from (f"{run.run}: channel {channel} left out: {reason}" for channel, reason in run.left_out.items())
+
+
+def _noise_of_sweeps(response: Response) -> tuple[UsualNoise, ...]:
+    """Return the noise that the sweeps of a response had in common, as far as it is known."""
+    return () if isinstance(response, str) else response.usual_noise or ()
 
 
 def _geometry_of(response: Response) -> Geometry:

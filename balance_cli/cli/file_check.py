@@ -11,7 +11,6 @@ from balance_cli.campaign.recording.channel_range import full_range_faults
 from balance_cli.campaign.recording.gaps import gap_summary
 from balance_cli.campaign.recording.import_map_file import read_import_map
 from balance_cli.campaign.recording.load_table import is_point_table, read_load_table
-from balance_cli.campaign.recording.loaded_tares import describe_loaded_tares
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.recording.table_geometry import read_table_head
@@ -159,9 +158,6 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
     faults += tuple(_gap_faults(run, path))
-    loaded_tares = describe_loaded_tares(run)
-    if loaded_tares:
-        faults += (UserError(loaded_tares, str(path), "point", "A zero that is none shifts what counts from it"),)
     return FileFinding(
         "run",
         _describe_run(run),

@@ -90,6 +90,13 @@ def usual_noise(levels: Iterable[RunNoise | None], channel_names: tuple[str, ...
     return tuple(UsualNoise(rate, channel_names, level) for rate, level in common.items() if level is not None)
 
 
+def measure_usual_noise(runs: Iterable[Run], channel_names: tuple[str, ...]) -> tuple[UsualNoise, ...]:
+    """Return the noise that the sweeps among runs have in common, for each sample rate at which they have one."""
+    return usual_noise(
+        (measure_nyquist_noise(run, channel_names) for run in runs if run.kind == "sweep"), channel_names
+    )
+
+
 def _common_level(levels: Sequence[Array]) -> Array | None:
     """Return the level (c,) that several runs have in common; None where they have none."""
     if len(levels) < 2:

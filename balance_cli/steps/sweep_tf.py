@@ -17,7 +17,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.response import local_response
-from balance_cli.signals.nyquist_noise import measure_nyquist_noise, usual_noise
+from balance_cli.signals.nyquist_noise import measure_usual_noise
 from balance_cli.signals.periodic import PeriodicRecord, has_whole_periods, periodic_record
 from balance_cli.signals.response.averaged_spectra import averaged_response
 from balance_cli.signals.response.choices import AUTO, AVERAGED_ESTIMATORS, ESTIMATORS, LOCAL_RATIONAL, PERIODIC
@@ -51,7 +51,6 @@ def estimate_responses(
     if not sweeps:
         raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
     live, left_out = _live_channels_by_run(sweeps, geometry)
-    levels = [measure_nyquist_noise(run, geometry.channel_names) for run in sweeps]
     forces = {run.name: force for run in sweeps if (force := single_force(run)) is not None}
     points = [_point_force(force, live[name], estimator, band) for name, force in forces.items()]
     sweeps = [run for run in sweeps if run.name not in forces]
@@ -70,7 +69,7 @@ def estimate_responses(
         steady_parts={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
         unused_runs=unused | faults,
-        usual_noise=usual_noise(levels, geometry.channel_names) or None,
+        usual_noise=measure_usual_noise(runs, geometry.channel_names) or None,
     )
 
 

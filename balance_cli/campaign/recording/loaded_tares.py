@@ -11,17 +11,18 @@ from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 LARGEST_TARE_SHARE = 0.1
 """Of the largest load of a component: hangers, pans and the noise of a load cell stay below."""
 SMALLEST_APPLIED_SHARE = 0.02
-"""Of the largest force or moment of the run: components below are not applied but by the way, and hold noise."""
+"""Of the largest load of the run, moments over an arm: components below are not applied, and hold noise."""
 MOST_LISTED = 10
 """Load points in a message."""
 
 
-def describe_loaded_tares(run: Run) -> str:
+def describe_loaded_tares(run: Run, arm: float) -> str:
     """Return in words which load points of a static run are tares with a load; empty where there is none.
 
-    Tares that all have one load, as about a trim, are the zero of the others.
+    `arm` [m] makes moments comparable with forces. Tares that all have one load, as about a trim, are the zero of the
+    others.
     """
-    loaded = _loaded_tares(run)
+    loaded = _loaded_tares(run, arm)
     if not loaded:
         return ""
     loads = run.read().loads
@@ -29,17 +30,18 @@ def describe_loaded_tares(run: Run) -> str:
     shown = ", ".join(f"{row + 1} ({_load_text(loads[row])})" for row in loaded[:MOST_LISTED])
     more = f" and {len(loaded) - MOST_LISTED} more" if len(loaded) > MOST_LISTED else ""
     which, verb, what = ("point", "is", "a tare") if len(loaded) == 1 else ("points", "are", "tares")
-    return f"load {which} {shown}{more} {verb} labeled as {what}, which is unloaded: correct `point` or the loads"
+    return f"load {which} {shown}{more} {verb} labeled as {what}, which is unloaded: correct `point`, or the loads,"
 
 
-def _loaded_tares(run: Run) -> list[int]:
+def _loaded_tares(run: Run, arm: float) -> list[int]:
     """Return the rows that are labeled as tares and have a load that the run applies."""
     loads = run.read().loads if run.kind == "static" and run.point_kinds else None
     if loads is None:
         return []
     is_tare = np.array([kind == "tare" for kind in run.point_kinds or ()], bool)
     size = np.nan_to_num(np.abs(loads)).max(axis=0, initial=0.0)
-    applied = size > SMALLEST_APPLIED_SHARE * np.repeat([size[:3].max(), size[3:].max()], 3)
+    force = size / np.repeat([1.0, arm], 3)
+    applied = force > SMALLEST_APPLIED_SHARE * force.max()
     if not is_tare.any() or not applied.any():
         return []
     share = np.nan_to_num(loads[:, applied]) / size[applied]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from balance_cli.campaign.recording.loaded_tares import describe_loaded_tares
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -19,6 +20,7 @@ from balance_cli.diagnosis.consistency.findings import (
     FREQUENCIES,
     HUB_POSITION,
     LEVEL,
+    LOADED_TARE,
     STIFFNESS,
     WARNING,
     ConsistencyFinding,
@@ -29,6 +31,7 @@ from balance_cli.diagnosis.consistency.noise_levels import noise_findings
 from balance_cli.diagnosis.consistency.search import find_mistakes
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, suggest_units
 from balance_cli.model.balance import balance_model
+from balance_cli.model.plate import moment_reference_length
 from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response_rows import ResponseRows, response_rows
 
@@ -49,14 +52,20 @@ def campaign_findings(
     """Cross-check the runs with known loads against the geometry and against each other; faults first.
 
     Of runs without loads only the noise is compared, also with `stored_noise` of sweeps that are not given. What the
-    given runs cannot show has no finding, nor has a geometry without mechanics.
+    given runs cannot show has no finding; with a geometry without mechanics only the labels of load points are judged.
     """
-    if missing_mechanics(geometry):
-        return ()
     runs = tuple(runs)
+    arm = moment_reference_length(geometry.hub)
+    tares = [_loaded_tare(run, text) for run in runs if (text := describe_loaded_tares(run, arm))]
+    if missing_mechanics(geometry):
+        return tuple(tares)
     rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
     findings = findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
-    return (*findings, *noise_findings(runs, geometry.channel_names, stored_noise))
+    return (*findings, *tares, *noise_findings(runs, geometry.channel_names, stored_noise))
+
+
+def _loaded_tare(run: Run, text: str) -> ConsistencyFinding:
+    return ConsistencyFinding(LOADED_TARE, WARNING, text, (run.name,))
 
 
 def _rows_with_level(run: Run, geometry: Geometry) -> tuple[ResponseRows, tuple[float, ...]] | None:

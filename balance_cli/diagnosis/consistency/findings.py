@@ -26,6 +26,7 @@ DIFFERENT_RIG = "different rig"
 ANTI_ALIAS = "anti-alias filter"
 STATIC_RESPONSE = "static response"
 NOISE_LEVEL = "noise level"
+LOADED_TARE = "loaded tare"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -45,6 +46,7 @@ KINDS = (
     ANTI_ALIAS,
     STATIC_RESPONSE,
     NOISE_LEVEL,
+    LOADED_TARE,
 )
 
 
