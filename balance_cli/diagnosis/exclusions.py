@@ -70,7 +70,7 @@ def find_exclusion(
         scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
         smallest = min(bonferroni_p_value(s.gain, s.parameters, len(scores), s.noise_dof) for s in scores)
         if smallest >= settings.selection.significance_level:
-            update = UpdateResult(fit, {}, (), ConfirmedFit(fit, (), scores, {}, smallest))
+            update = UpdateResult(fit, {}, (), ConfirmedFit(fit, (), scores, {}, smallest), True)
             return ExclusionResult(left_out, rest, batches, update)
     return None
 

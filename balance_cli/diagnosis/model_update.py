@@ -45,12 +45,16 @@ Announce = Callable[[str], bool]
 
 @dataclass(frozen=True)
 class UpdateResult:
-    """The fit of the updated model, the support of each effect in it, all trials, and the last confirmation."""
+    """The fit of the updated model, the support of each effect in it, all trials, and the last confirmation.
+
+    `is_good`: whether it describes all lines, and no candidate is significant.
+    """
 
     fit: Fit
     effect_support: dict[str, EffectSupport]
     trials: tuple[Trial, ...]
     confirmation: ConfirmedFit
+    is_good: bool
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,7 @@ def update_model(
     certain_labels = given_labels | {trial.label for trial in search_result.trials if trial.round == 0}
     task = _UpdateTask(start, theta, batches, lines, given_labels, certain_labels, announce, settings)
     update = _test_on_all_lines(task, search_result)
-    if is_good_fit(update.confirmation, model_quality(update.fit.model, update.fit.theta, batches), settings):
+    if update.is_good:
         return update
     if announce("resonances without a cause"):
         return update
@@ -143,7 +147,8 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     support = {**comparison.effect_support, **tested.support}
     confirmation = score_again(confirmation, fit, batches, settings)
-    return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
+    is_good = is_good_fit(confirmation, model_quality(fit.model, fit.theta, task.batches), settings)
+    return UpdateResult(fit, support, (*trials, *tested.trials), confirmation, is_good)
 
 
 def _first_fit(

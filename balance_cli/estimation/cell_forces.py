@@ -137,11 +137,12 @@ def _run_cell_forces(
 
 def _force_histories(waveform: Waveform, system: System, derivatives: bool) -> Iterator[tuple[CellForce, Dual, Index]]:
     """Each force as a function of time, with derivatives by the parameters `columns`."""
+    unmixed = _unmix(waveform, system)
     for spring in dict.fromkeys(force.spring for force in system.equations.forces):
         forces = [force for force in system.equations.forces if force.spring == spring]
         present = [force for force in forces if force.values.value[0] != 0.0]
         columns = _influencing_parameters(system, spring, present) if derivatives else np.zeros(0, np.intp)
-        d = _elongation(waveform, system, spring, present, columns)
+        d = _elongation(waveform, system, unmixed, spring, present, columns)
         for force in forces:
             if force.values.value[0] != 0.0:
                 yield force, _force_history(force, d, columns, waveform.is_periodic), columns
@@ -180,9 +181,16 @@ def _influencing_parameters(system: System, spring: int, forces: Sequence[CellFo
 # ---- elongation ------------------------------------------------------------------------------------------------------
 
 
-def _elongation(waveform: Waveform, system: System, spring: int, forces: Sequence[CellForce], columns: Index) -> Dual:
+def _elongation(
+    waveform: Waveform,
+    system: System,
+    unmixed: _UnmixedVolts,
+    spring: int,
+    forces: Sequence[CellForce],
+    columns: Index,
+) -> Dual:
     """The elongation d (n,) of a spring through time, from k d + (forces inside) = the measured force."""
-    force = _elastic_force(waveform, system, spring, columns)
+    force = _elastic_force(waveform, system, unmixed, spring, columns)
     k = _select_parameters(system.equations.stiffness[spring], columns)
     internal_forces = [item for item in forces if item.read]
     if not internal_forces:
@@ -198,10 +206,10 @@ def _elongation(waveform: Waveform, system: System, spring: int, forces: Sequenc
     return Dual(value, -error.derivative / stiffness)
 
 
-def _elastic_force(waveform: Waveform, system: System, spring: int, columns: Index) -> Dual:
+def _elastic_force(waveform: Waveform, system: System, unmixed: _UnmixedVolts, spring: int, columns: Index) -> Dual:
     """The measured force of a spring through time (n,), divided by 1 + j eta and the growth of k with frequency."""
     loss, growth = system.equations.loss, system.equations.frequency_stiffness
-    reading, derivative = _measured_spring_force(waveform, system, spring, columns)
+    reading, derivative = _measured_spring_force(waveform, system, unmixed, spring, columns)
     # Loss and growth hold only where there is motion.
     quadrature, logarithmic = 1j * (waveform.frequency > 0), log_frequency_ratio(waveform.frequency)
     factor = 1.0 + quadrature * loss.value[spring] + logarithmic * growth.value[spring]
@@ -235,26 +243,42 @@ def _force_and_stiffness(forces: Sequence[CellForce], d: Array, is_periodic: boo
     return total.value, total.derivative[0]
 
 
+@dataclass(frozen=True)
+class _UnmixedVolts:
+    """The channels' volts (F, c) before crosstalk and offsets, by the inverse (c, c) of the mixing.
+
+    `constant` (F, 1): change of an amplitude per unit offset.
+    """
+
+    volts: ComplexArray
+    inverse: Array
+    constant: Array
+
+
+def _unmix(waveform: Waveform, system: System) -> _UnmixedVolts:
+    constant_volts = np.where(waveform.frequency == 0, waveform.mean_factor, 0.0)[:, None]
+    inverse = np.linalg.inv(system.equations.mixing.value)
+    volts = (waveform.volts - constant_volts * system.equations.channel_offset.value) @ inverse.T
+    return _UnmixedVolts(volts, np.asarray(inverse, float), constant_volts)
+
+
 def _measured_spring_force(
-    waveform: Waveform, system: System, spring: int, columns: Index
+    waveform: Waveform, system: System, unmixed: _UnmixedVolts, spring: int, columns: Index
 ) -> tuple[ComplexArray, ComplexArray]:
     """Amplitudes (F,) of the spring's force as its channels read it, and their derivatives (F, q)."""
     own = [i for i, path in enumerate(system.equations.paths) if path.spring == spring]
     paths = [system.equations.paths[i] for i in own]
     gains = channel_gains(paths, waveform.frequency)
     weight = np.where(gains != 0.0, waveform.share[:, own] / np.where(gains != 0.0, gains, 1.0), 0.0)
-    constant_volts = np.where(waveform.frequency == 0, waveform.mean_factor, 0.0)[:, None]
-    unmixing = np.linalg.inv(system.equations.mixing.value)
-    volts = (waveform.volts - constant_volts * system.equations.channel_offset.value) @ unmixing.T
-    parts = weight * volts[:, own]
+    parts = weight * unmixed.volts[:, own]
     derivative = np.zeros((len(parts), len(columns)), complex)
     s = np.asarray(2j * np.pi * waveform.frequency[:, None], complex)
     for i, path in enumerate(paths if len(columns) else []):
         derivative -= parts[:, i, None] * log_gain_derivative(path, s)[:, columns]
     offset = system.equations.channel_offset.derivative[columns]
     if offset.any():
-        derivative -= constant_volts * (weight @ (unmixing @ offset.T)[own])
+        derivative -= unmixed.constant * (weight @ (unmixed.inverse @ offset.T)[own])
     mixing = system.equations.mixing.derivative[columns]
     if mixing.any():
-        derivative -= np.einsum("fi,qij,fj->fq", weight, (unmixing @ mixing)[:, own], volts)
+        derivative -= np.einsum("fi,qij,fj->fq", weight, (unmixed.inverse @ mixing)[:, own], unmixed.volts)
     return np.asarray(parts.sum(axis=1)), derivative

@@ -7,7 +7,9 @@ all frequencies at once, the mean included.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,9 @@ Index = NDArray[np.intp]
 # Rms of a distortion over that of the reading it is computed from: a channel that is beyond it tells next to nothing of
 # the force, and at a share of one the reading would explain itself.
 MAX_SHARE = 0.5
+
+_AT_NULL: WeakKeyDictionary[Waveform, dict[Hashable, tuple[ComplexArray, ComplexArray]]] = WeakKeyDictionary()
+"""By waveform, the distortions of zero strength with their derivatives, which every scoring asks for again."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +88,36 @@ def _run_distortions(lines: slice, waveform: Waveform, system: System, derivativ
 
 def _at_lines(item: ChannelDistortion, waveform: Waveform, derivatives: bool) -> DistortionAtLines:
     columns = np.flatnonzero(np.any(item.values.derivative, axis=1)) if derivatives else np.zeros(0, np.intp)
+    volts, by_values = _volts_and_slopes(item, waveform, len(columns) > 0)
+    return DistortionAtLines(item.channel, volts, columns, by_values @ item.values.derivative[columns].T)
+
+
+def _volts_and_slopes(
+    item: ChannelDistortion, waveform: Waveform, derivatives: bool
+) -> tuple[ComplexArray, ComplexArray]:
+    """The distortion (k,) [V] at the lines, and its derivatives (k, v) by its own values, zero where not asked for.
+
+    At the null both follow from the reading alone, whatever the model: they are kept as long as the waveform.
+    """
+    if item.values.value[0] != 0.0:
+        return _transform_distortion(item, waveform, derivatives)
+    key = (item.channel, item.shape, item.values.value.tobytes(), derivatives)
+    of_waveform = _AT_NULL.setdefault(waveform, {})
+    if key not in of_waveform:
+        of_waveform[key] = _transform_distortion(item, waveform, derivatives)
+    return of_waveform[key]
+
+
+def _transform_distortion(
+    item: ChannelDistortion, waveform: Waveform, derivatives: bool
+) -> tuple[ComplexArray, ComplexArray]:
+    count = len(item.values.value)
     reading = waveform.to_time_domain(waveform.volts[:, item.channel])
-    values = Dual(item.values.value, item.values.derivative[columns])
+    values = Dual(item.values.value, np.eye(count) if derivatives else np.zeros((0, count)))
     distortion = values[0] * item.shape(reading, values)
     if not np.linalg.norm(distortion.value) <= MAX_SHARE * np.linalg.norm(reading):
         raise np.linalg.LinAlgError("the distortion of a channel is most of its reading")
     volts = waveform.combine_bins(waveform.to_bins(distortion.value))
-    derivative = waveform.combine_bins(waveform.to_bins(distortion.derivative.T))
-    return DistortionAtLines(item.channel, volts, columns, derivative)
+    if not derivatives:
+        return volts, np.zeros((len(volts), count), complex)
+    return volts, waveform.combine_bins(waveform.to_bins(distortion.derivative.T))

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Array, Run, excerpt_run
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -160,6 +159,8 @@ def force_window(size: Array) -> Array:
 
     `size` (n,) are the absolute values of its force about the median.
     """
+    from scipy.ndimage import maximum_filter1d
+
     noise = max(GAUSSIAN * float(np.median(size)), LEAST_NOISE * float(size.max(initial=0.0)))
     is_hit = size > WINDOW_SIGMAS * noise
     margin = MARGIN * max(_longest_run(is_hit), 2)

@@ -23,7 +23,7 @@ def hann_mean(values: Array) -> Array:
     return np.asarray(np.tensordot((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n, values, axes=1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SampledWaveform:
     """A waveform of `samples` samples whose bins are the lines.
 
@@ -98,7 +98,7 @@ class SampledWaveform:
         return values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordWaveform(SampledWaveform):
     """The waveform of a record that does not repeat, whose lines are weighted sums of neighboring bins.
 

@@ -14,7 +14,7 @@ ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StaticWaveform:
     """The m load points of a static run: `volts` (m, c) and `share` (m, c), all at frequency zero.
 

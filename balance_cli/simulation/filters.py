@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import AnalogFilter
@@ -46,7 +45,9 @@ def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, strid
     """
     if declared is None:
         return signals[::stride].copy()
-    _, poles, gain = scipy.signal.butter(declared.order, 2 * np.pi * declared.cutoff, analog=True, output="zpk")
+    from scipy.signal import butter  # see `integrate.first_order_recursion`
+
+    _, poles, gain = butter(declared.order, 2 * np.pi * declared.cutoff, analog=True, output="zpk")
     filtered = np.zeros((len(signals[::stride]), signals.shape[1]))
     acting = np.any(signals, axis=0)  # most sweeps excite one component alone
     signals = signals[:, acting]

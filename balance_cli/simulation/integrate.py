@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
@@ -64,8 +63,10 @@ def extrapolate_ends(signal: Samples) -> Samples:
 
 def first_order_recursion(decay: complex, forcing: Samples, start: NDArray[Any]) -> ComplexArray:
     """`x[0] = start`, `x[k+1] = decay x[k] + forcing[k]` along the first axis; (n+1, s)."""
+    from scipy.signal import lfilter  # its import takes longer than a diagnosis that simulates nothing
+
     driven = np.concatenate([np.asarray(start)[None, :], forcing])
-    states: ComplexArray = scipy.signal.lfilter([1.0], [1.0, -decay], driven, axis=0)
+    states: ComplexArray = lfilter([1.0], [1.0, -decay], driven, axis=0)
     return states
 
 

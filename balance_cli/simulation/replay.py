@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -32,14 +31,16 @@ def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, roto
     channels and loads, so the channels need no further filter. An effect with a random phase has another one here.
     Raises LinAlgError where the motion grows without bound.
     """
+    from scipy.signal import firwin, resample_poly  # see `integrate.first_order_recursion`
+
     has_exciters = kind in KINDS_WITH_LOADS
     attached = [name for name, load in zip(COMPONENTS, loads.T, strict=True) if has_exciters and np.any(load)]
     mechanics = equations_of_motion(rig, rotor_speed, attached)
     oversampling = CONTACT_OVERSAMPLING if any(force.limit for force in mechanics.forces) else OVERSAMPLING
     step = 1.0 / (oversampling * sample_rate)
     taps = 2 * HALF_LENGTH * oversampling + 1
-    kernel = scipy.signal.firwin(taps, 1.0 / oversampling, window=("kaiser", KAISER_SHAPE))
-    fine = scipy.signal.resample_poly(  # type: ignore[call-overload]  # the stubs know no kernel
+    kernel = firwin(taps, 1.0 / oversampling, window=("kaiser", KAISER_SHAPE))
+    fine = resample_poly(  # type: ignore[call-overload]  # the stubs know no kernel
         loads, oversampling, 1, axis=0, padtype="line", window=kernel
     )
     # What interpolation leaves in a component without load would be a load.

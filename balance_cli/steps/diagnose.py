@@ -16,7 +16,7 @@ from balance_cli.diagnosis.conclusions import (
 )
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
-from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, is_good_fit, model_quality, update_model
+from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, model_quality, update_model
 from balance_cli.diagnosis.residual_map import describe_residual_location, residual_map
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, FoundEffect, LeftOut, ResidualMap
 from balance_cli.diagnosis.search.mass_region import mass_intervals
@@ -128,10 +128,9 @@ def _exclusion(
     settings: SearchSettings,
 ) -> ExclusionResult | None:
     """The channel or run without which there is nothing to explain, where the update does not explain all data."""
-    after = (update.fit.model, update.fit.theta)
-    if is_good_fit(update.confirmation, model_quality(*after, batches), settings):
+    if update.is_good:
         return None
-    residual = residual_map(batches, before, after, settings.residual_map)
+    residual = residual_map(batches, before, (update.fit.model, update.fit.theta), settings.residual_map)
     return find_exclusion(*before, spectra, residual, announce, settings)
 
 
