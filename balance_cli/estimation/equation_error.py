@@ -136,12 +136,14 @@ def fit_equation_error(
     """
     start = parameters.value
     stride = 1 + sum(len(batch.lines.index) for batch in batches) // MAX_REGRESSION_LINES
-    data = [_select_band(measured_forces(batch, system(start)), band, stride) for batch in batches]
+    declared = system(start)
+    data = [_select_band(measured_forces(batch, declared), band, stride) for batch in batches]
 
     def error(theta: Array) -> float:
-        return float(sum(np.sum(np.abs(equation_error(system(theta), item)[0]) ** 2) for item in data))
+        at = system(theta)
+        return float(sum(np.sum(np.abs(equation_error(at, item)[0]) ** 2) for item in data))
 
-    if not all(determines_motion(system(start), item) for item in data):
+    if not all(determines_motion(declared, item) for item in data):
         return None
     count = 2 * sum(item.forces.size for item in data)
     minimum = None

@@ -40,6 +40,8 @@ from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
+SystemAt = Callable[[Array, bool], System]
+"""The system at a full parameter vector, with or without derivatives."""
 
 # Weak prior on effects, in their scales. Without it the regression is singular: a filter that two channels share does
 # not change their ratio, for instance.
@@ -65,14 +67,14 @@ class StartingPoints:
 
 
 def find_starting_values(
-    parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
+    parameters: ParameterSet, batches: Sequence[Batch], system: SystemAt, start: Array
 ) -> StartingPoints:
     """Fit starting values from `start`; priors determine what the data do not."""
     weakly_constrained = add_weak_priors(parameters, start, EFFECT_PRIOR_SCALES)
     aligned = _fit_regression(
         weakly_constrained, [alignment_residual(batch, line_stride(batches)) for batch in batches], system, start
     )
-    aligned_system = system(aligned)
+    aligned_system = system(aligned, True)
     effects_fixed = _fit_regression(
         add_weak_priors(parameters, aligned, FIXED_EFFECT_SCALES),
         motion_residuals(batches, aligned_system),
@@ -89,7 +91,7 @@ def find_starting_values(
 
 
 def start_from_equations_of_motion(
-    parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
+    parameters: ParameterSet, batches: Sequence[Batch], system: SystemAt, start: Array
 ) -> Array:
     """The full parameter vector with the least residual of the equations of motion, the channels being as at `start`.
 
@@ -100,7 +102,10 @@ def start_from_equations_of_motion(
     try:
         with np.errstate(all="ignore"):
             fitted = _fit_regression(
-                weakly_constrained, motion_residuals(batches, system(start), max_lines=QUICK_START_LINES), system, start
+                weakly_constrained,
+                motion_residuals(batches, system(start, True), max_lines=QUICK_START_LINES),
+                system,
+                start,
             )
     except np.linalg.LinAlgError:
         return start
@@ -117,17 +122,17 @@ def add_weak_priors(parameters: ParameterSet, start: Array, scales: float) -> Pa
 def _fit_regression(
     parameters: ParameterSet,
     residuals: Sequence[Callable[[System], RegressionResidual]],
-    system: Callable[[Array], System],
+    system: SystemAt,
     start: Array,
 ) -> Array:
     """Least squares with the priors; the variance is that of the residual, estimated again in each round."""
 
-    def residuals_at(theta: Array) -> list[RegressionResidual]:
-        at = system(theta)
+    def residuals_at(theta: Array, derivatives: bool = True) -> list[RegressionResidual]:
+        at = system(theta, derivatives)
         return [residual(at) for residual in residuals]
 
     def squares(theta: Array) -> float:
-        return float(sum(np.sum(np.abs(item.error) ** 2) for item in residuals_at(theta)))
+        return float(sum(np.sum(np.abs(item.error) ** 2) for item in residuals_at(theta, False)))
 
     p = int(parameters.free.sum())
     initial_residuals = residuals_at(start)

@@ -73,8 +73,9 @@ class RunInformation:
 
 def _weighted_power(influence: ComplexArray, shape: Array, share: Array) -> Array:
     """Sum of share (k,) g* shape g over the lines of an influence (k, c, n): (n,)."""
-    shaped = np.einsum("cd,kdn->kcn", shape, influence)
-    return np.asarray(np.einsum("k,kcn,kcn->n", share, influence.conj(), shaped, optimize=True).real)
+    shaped = np.matmul(shape, influence)
+    power = np.sum(influence.real * shaped.real + influence.imag * shaped.imag, axis=1)
+    return np.asarray(share @ power)
 
 
 def noise_dof(
