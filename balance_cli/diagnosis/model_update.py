@@ -95,7 +95,8 @@ def update_model(
         return update
     if announce("resonances without a cause"):
         return update
-    state, tried = add_unmodelled_modes(_starting_models(task, update), lines, last_round(update.trials) + 1, settings)
+    first_round = last_round(update.trials) + 1
+    state, tried = add_unmodelled_modes(_starting_models(task, update), lines, first_round, announce, settings)
     trials = (*update.trials, *tried)
     if state is None:
         return replace(update, trials=trials)

@@ -108,6 +108,8 @@ class UnmodelledModeSettings:
     """Half-width of a peak over its frequency: a mode of damping ratio 0.02 has fallen to a quarter there."""
     max_modes: int = 3
     """Resonances added at most: one for each direction."""
+    max_rounds: int = 6
+    """Rounds, each of which adds a resonance or an effect that one had hidden: as many effects as resonances."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_freque
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF, Damping, Form, Method
+from balance_cli.estimation.effect_inaccuracy import effect_inaccuracy_variance
 from balance_cli.estimation.equation_error import fit_equation_error
 from balance_cli.estimation.fit_quality import fit_quality, frf_band
 from balance_cli.estimation.identifiability import (
@@ -201,6 +202,8 @@ def build_identified_model(
 ) -> IdentifiedModel:
     """The model at a minimum with its covariance, modes and quality; `start` and `method` name how it was found."""
     covariance = covariance_from_information(minimum.total.information)
+    inaccuracy = effect_inaccuracy_variance(model, minimum.theta, batches)
+    covariance = covariance + np.diag(inaccuracy[model.parameters.free])
     identifiability = parameter_identifiability(model.parameters, minimum.data.information)
     system = model.system(minimum.theta)
     band = frf_band(batches, model.geometry)

@@ -512,7 +512,7 @@ def with_and_without(label, spectra):
     bare = (start, start.parameters.value)
     extended = extend_model(*bare, add_candidates(RIG, [(known, 0)], at_start_values=True))
     state, trials = add_unmodelled_modes(
-        [extended, bare], search_lines(spectra, RIG.channel_names, SETTINGS.fit), 1, SETTINGS
+        [extended, bare], search_lines(spectra, RIG.channel_names, SETTINGS.fit), 1, lambda _: False, SETTINGS
     )
     removed = [trial.label for trial in trials if trial.decision == "removed"]
     return {one.label for one in declared_effects(state.geometry)}, removed

@@ -1,18 +1,19 @@
 """Unmodelled modes: resonances of free shape, added where no physical effect of the library explains the residual.
 
 They describe the residual without explaining it. With them the hub loads are correct where the balance resonates in an
-unknown way; the cause has to be looked for at the identified frequencies.
+unknown way; the cause has to be looked for at the identified frequencies. A resonance may have hidden an effect of the
+library, which is then found beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
 from balance_cli.diagnosis.search.extended_models import extend_model
@@ -29,12 +30,14 @@ from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
+Announce = Callable[[str], bool]
 
 
 def add_unmodelled_modes(
     starting_models: Sequence[tuple[BalanceModel, Array]],
     lines: SearchLines,
     first_round: int,
+    announce: Announce,
     settings: SearchSettings,
 ) -> tuple[SearchState | None, tuple[Trial, ...]]:
     """The model with the resonances that reduce its error, and the trials; None where no resonance is accepted.
@@ -42,16 +45,20 @@ def add_unmodelled_modes(
     Of several starting models the one that ends with the best description is returned. The first one has all effects
     found before; those of its effects that the returned model lacks are listed as removed.
     """
-    results = [_add_modes(model, theta, lines, first_round, settings) for model, theta in starting_models]
+    results = [_add_modes(model, theta, lines, first_round, announce, settings) for model, theta in starting_models]
     costs = [_cost(state, settings.parameter_cost) for state, _ in results]
     best = int(np.argmin(costs))
     state, trials = results[best]
     if not any(trial.decision == "accepted" for trial in trials):
         return None, trials
-    labels = [{effect.label for effect in declared_effects(model.geometry)} for model, _ in starting_models]
-    gain = costs[best] - costs[0]
-    removed = sorted(labels[0] - labels[best])
+    before, after = _labels(starting_models[0][0].geometry), _labels(state.geometry)
+    gain, removed = costs[best] - costs[0], sorted(before - after)
     return state, (*trials, *(_superseded_trial(first_round, label, gain) for label in removed))
+
+
+def _labels(geometry: Geometry) -> set[str]:
+    """The labels of the effects of a geometry."""
+    return {effect.label for effect in declared_effects(geometry)}
 
 
 def _cost(state: SearchState, parameter_cost: float) -> float:
@@ -73,21 +80,44 @@ def _superseded_trial(number: int, label: str, gain: float) -> Trial:
 
 
 def _add_modes(
-    model: BalanceModel, theta: Array, lines: SearchLines, first_round: int, settings: SearchSettings
+    model: BalanceModel,
+    theta: Array,
+    lines: SearchLines,
+    first_round: int,
+    announce: Announce,
+    settings: SearchSettings,
 ) -> tuple[SearchState, tuple[Trial, ...]]:
-    """The stable fit of one starting model with the resonances that are accepted, if any."""
+    """The stable fit of one starting model with the resonances that are accepted, and the effects beside them.
+
+    A resonance may have hidden an effect, and a further one would describe it badly: the best of both is added.
+    """
     state = fit_until_stable(model, theta, lines, settings.fit)
     trials: list[Trial] = []
-    for number in range(first_round, first_round + settings.modes.max_modes):
-        if state.error < settings.rounds.small_error:
+    modes = 0
+    for number in range(first_round, first_round + settings.modes.max_rounds):
+        if state.error < settings.rounds.small_error or (modes and announce("effects beside a resonance")):
             break
-        pool = unmodelled_mode_candidates(state, lines.fitted, settings.modes, settings.excluded)
-        added = search_round(state, lines, number, pool, settings)
+        added = search_round(state, lines, number, _pool(state, lines, modes, settings), settings)
         trials += added.trials
         if added.state is None:
             break
-        state = move_to_best_places(added.state, lines, settings.fit)
+        is_mode = len(_empirical_effects(added.state)) > len(_empirical_effects(state))
+        modes += is_mode
+        state = move_to_best_places(added.state, lines, settings.fit) if is_mode else added.state
     return state, tuple(trials)
+
+
+def _pool(state: SearchState, lines: SearchLines, modes: int, settings: SearchSettings) -> tuple[Candidate, ...]:
+    """The resonances that may still be added; beside the first one all effects, which it had hidden."""
+    pool = ()
+    if modes < settings.modes.max_modes:
+        pool = unmodelled_mode_candidates(state, lines.fitted, settings.modes, settings.excluded)
+    return (*pool, *candidates(state.geometry, excluded=settings.excluded)) if modes else pool
+
+
+def _empirical_effects(state: SearchState) -> list[str]:
+    """The labels of the empirical effects of a model."""
+    return [effect.label for effect in declared_effects(state.geometry) if effect.effect.empirical]
 
 
 def unmodelled_mode_candidates(

@@ -10,6 +10,7 @@ from balance_cli.diagnosis.search.candidates import parameters_of_interest
 from balance_cli.diagnosis.selection.fit import Fit
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.coordinates import coordinates
+from balance_cli.estimation.effect_inaccuracy import effect_inaccuracy
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
@@ -45,11 +46,9 @@ def confounding_limit(fit: Fit, batches: Sequence[Batch]) -> tuple[float, str]:
 
     A candidate that gains no more than this may describe that inaccuracy. (0.0, "") where every effect is exact.
     """
-    waveforms = [run.waveform for batch in batches for run in batch.runs if run.waveform is not None]
-    which = int(any(waveform.lines_are_bin_sums for waveform in waveforms))
     limits = []
     for effect in declared_effects(fit.model.geometry):
-        share = effect.effect.search.inaccuracy[which]
+        share = effect_inaccuracy(effect.effect, batches)
         if share > 0:
             limits.append((share**2 * effect_wald_statistic(fit, effect)[0], effect.label))
     return max(limits, default=(0.0, ""))

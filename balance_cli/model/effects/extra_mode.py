@@ -4,10 +4,11 @@ At a motion (x, y, z) it is a resonator carried by the metric side: a cable, a l
 With an effective mass m, a shape phi over the plate's motions (one in the direction of the place) and e its own motion
 relative to the plate
 
-    plate:   M q'' + ... + m phi e'' = F u,          e'' + 2 zeta w0 e' + w0^2 e = - phi' q'',
+    plate:   (M + (1 - c) m phi phi') q'' + ... + m phi e'' = F u,          e'' + 2 zeta w0 e' + w0^2 e = - phi' q'',
 
-so that it appears in every response, as a mode of a passive structure must, and not at rest. The mass is part of the
-declared one: M is that of the metric side with e locked.
+so that it appears in every response, as a mode of a passive structure must, and not at rest. M is the declared mass
+matrix, that of a rigid body. For c = 1 the mass m is part of it: a loose part, which swings along phi and is carried
+along otherwise. For c = 0 it hangs on beside it and acts along phi only: a cable, whose other motions are elsewhere.
 
 At a load component (Fx .. Mz) it is added to the response of the cells to that load alone. The force of spring i gets
 
@@ -73,7 +74,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _plate_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     scale = SMALL * sum(body.mass for body in geometry.bodies)
-    description = f"Its effective mass along {where[0]}, part of the declared mass."
+    description = f"Its effective mass along {where[0]}."
     mass = EffectParameter("mass", "kg", 0.0, scale, description, lower=0.0, start=scale)
     shape = (
         EffectParameter(
@@ -87,7 +88,9 @@ def _plate_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectPara
         for name in geometry.freedom
         if name != where[0]
     )
-    return (mass, *shape)
+    described = "Share of its mass that is part of the declared one; the rest acts along its shape only."
+    share = EffectParameter("declared_share", "1", 1.0, 0.3, described, nuisance=True)
+    return (mass, *shape, share)
 
 
 def _load_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -127,7 +130,8 @@ def _add_plate_mode(equations: Equations, axis: str, values: Mapping[str, Dual],
     plate = stack([*parts, *nothing, constant(0.0, p)])
     last = np.eye(n + 1)[:, -1:]
     reaction = values["mass"] * (plate.insert_axis(-1) @ last.T)
-    return replace(wide, mass=wide.mass + reaction + rate * rate * (last @ plate.insert_axis(0)))
+    beside = (1.0 - values["declared_share"]) * values["mass"] * (plate.insert_axis(-1) @ plate.insert_axis(0))
+    return replace(wide, mass=wide.mass + beside + reaction + rate * rate * (last @ plate.insert_axis(0)))
 
 
 def _add_load_mode(
