@@ -109,7 +109,7 @@ def _add_modes(
 
 def _pool(state: SearchState, lines: SearchLines, modes: int, settings: SearchSettings) -> tuple[Candidate, ...]:
     """The resonances that may still be added; beside the first one all effects, which it had hidden."""
-    pool = ()
+    pool: tuple[Candidate, ...] = ()
     if modes < settings.modes.max_modes:
         pool = unmodelled_mode_candidates(state, lines.fitted, settings.modes, settings.excluded)
     return (*pool, *candidates(state.geometry, excluded=settings.excluded)) if modes else pool
