@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -171,6 +171,7 @@ def unit_symbols(*dimensions: str) -> tuple[str, ...]:
     return tuple(unit.symbol for unit in units)
 
 
+@lru_cache(maxsize=1024)
 def _normalize(text: str) -> str:
     """Reduce separators to single spaces and special signs to letters."""
     plain = text.strip().translate(_SIGNS)

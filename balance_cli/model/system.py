@@ -124,15 +124,20 @@ def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> Co
     """A (k, n, n) at `frequency` (k,) [Hz] and rotor speed `spin` [Hz]."""
     w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
-    stiffness = pencil.stiffness.value + 1j * np.sign(w) * pencil.hysteresis.value
-    stiffness = stiffness + log_frequency_ratio(frequency)[:, None, None] * pencil.frequency_stiffness.value
+    stiffness: Array | ComplexArray = pencil.stiffness.value
+    if pencil.hysteresis.value.any():
+        stiffness = stiffness + 1j * np.sign(w) * pencil.hysteresis.value
+    if pencil.frequency_stiffness.value.any():
+        stiffness = stiffness + log_frequency_ratio(frequency)[:, None, None] * pencil.frequency_stiffness.value
     return np.asarray(stiffness + 1j * w * damping - w**2 * pencil.mass.value)
 
 
 def complex_readings(system: System, frequency: Array) -> ComplexArray:
     """Forces (k, e, n) of the springs per unit motion at `frequency` (k,) [Hz], loss included."""
-    moving = np.sign(frequency)[:, None, None]
-    readings = system.readings.value + 1j * moving * system.readings_loss.value
-    return np.asarray(
-        readings + log_frequency_ratio(frequency)[:, None, None] * system.readings_frequency_stiffness.value
-    )
+    readings = system.readings.value.astype(complex)
+    if system.readings_loss.value.any():
+        readings = readings + 1j * np.sign(frequency)[:, None, None] * system.readings_loss.value
+    if system.readings_frequency_stiffness.value.any():
+        ratio = log_frequency_ratio(frequency)[:, None, None]
+        readings = readings + ratio * system.readings_frequency_stiffness.value
+    return np.broadcast_to(readings, (len(frequency), *readings.shape[-2:]))

@@ -55,7 +55,8 @@ def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
 def response(system: System, solution: Solution) -> ComplexArray:
     """T (k, c, 6), volts per unit of the true hub loads, without the cross-axis matrix of an exciter."""
     volts = solution.gains[:, :, None] * solution.forces[:, system.springs_of_channels]
-    return np.asarray(system.equations.mixing.value @ volts)
+    mixing = system.equations.mixing.value
+    return np.asarray(volts if np.array_equal(mixing, np.eye(len(mixing))) else mixing @ volts)
 
 
 def hub_motion(system: System, solution: Solution) -> ComplexArray:

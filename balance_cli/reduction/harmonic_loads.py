@@ -206,14 +206,14 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
     frequency = spectra.frequency_hz[1:]
     channel_combination = source.channel_combination(frequency, health.live)
     columns = [COMPONENTS.index(name) for name in record.components]
-    T = harmonic_response(record, geometry, source)[:, channel_combination.rows][:, :, columns]
+    response = harmonic_response(record, geometry, source)
+    T = response[:, channel_combination.rows][:, :, columns]
     _check_determined(T, record)
     live = spectra.columns(health.live)
     combination = channel_combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
     y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, live])
     noise = combination @ spectra.covariance[1:][:, live][:, :, live] @ combination.conj().swapaxes(1, 2)
-    row_count = source.at(frequency[:1], record.spin).shape[1]
-    real_rows = np.array([*channel_combination.rows, *(row + row_count for row in channel_combination.rows)])
+    real_rows = np.array([*channel_combination.rows, *(row + response.shape[1] for row in channel_combination.rows)])
 
     def as_components(loads: Array) -> ComplexArray:
         all_loads = np.zeros((len(loads), 6), complex)

@@ -112,7 +112,9 @@ def _summed_power(windows: Array, taper: Array, bins: NDArray[np.int64]) -> Arra
 
     The mean of a window is in the main lobe alone.
     """
-    spectrum = np.ascontiguousarray(np.fft.rfft(windows * taper, axis=1)[:, bins]).view(float)
+    from scipy.fft import rfft
+
+    spectrum = np.ascontiguousarray(rfft(windows * taper, axis=1, overwrite_x=True)[:, bins]).view(float)
     return np.asarray(np.einsum("wk,wk->k", spectrum, spectrum).reshape(-1, 2).sum(axis=1))
 
 

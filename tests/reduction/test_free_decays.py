@@ -80,3 +80,12 @@ def test_the_response_to_harmonics_changes_where_the_speed_drifts(source, drift,
     azimuth = azimuth_from_pulses(pulses * (1.0 - drift * pulses / pulses[-1]))
     run = Run("wind", "A", "wind", (), 8000, MemorySource(np.zeros((0, 0)), None), rotor_speed=azimuth.mean_rate)
     assert free_decays.response_is_constant(run, azimuth, 20, 3, source) is is_constant
+
+
+@pytest.mark.parametrize("jump", [0.0, 1e-4])
+def test_decays_are_those_of_their_exponents_at_even_and_at_uneven_times(jump):
+    lines = OtherLines(exponents=(-0.8 + 142.0j, -7.4 + 372.0j), start=1.25)
+    time = 1.25 + np.arange(1000) / 800.0
+    time[300:] += jump
+    exact = np.exp(np.outer(time - 1.25, lines.exponents))
+    assert lines.basis(time) == pytest.approx(np.hstack([exact.real, exact.imag]), rel=0.0, abs=1e-12)

@@ -27,9 +27,16 @@ def spectral_floor(power: Real, bins: NDArray[np.int64] | None = None) -> Real:
     size = block_size(power.shape[1])
     block = np.arange(power.shape[1]) // size if bins is None else bins // size
     needed, place = np.unique(block, return_inverse=True)
-    starts = size * needed
-    medians = [row_medians(power[:, max(0, start - size // 2) : start + size + size // 2]) for start in starts]
-    return np.array(medians, power.dtype).reshape(len(needed), len(power)).T[:, place]
+    low, high = size * needed - size // 2, size * (needed + 1) + size // 2
+    whole = (low >= 0) & (high <= power.shape[1])
+    medians = np.empty((len(power), len(needed)), power.dtype)
+    if whole.any():
+        medians[:, whole] = row_medians(
+            np.lib.stride_tricks.sliding_window_view(power, high[0] - low[0], 1)[:, low[whole]]
+        )
+    for k in np.flatnonzero(~whole):
+        medians[:, k] = row_medians(power[:, max(0, low[k]) : high[k]])
+    return np.asarray(medians[:, place])
 
 
 def row_medians(values: Real) -> Real:
