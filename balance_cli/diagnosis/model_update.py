@@ -13,6 +13,7 @@ from balance_cli.diagnosis.search.initial_candidates import initial_candidates
 from balance_cli.diagnosis.search.refit import SearchState
 from balance_cli.diagnosis.search.search import SearchResult, search
 from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
+from balance_cli.diagnosis.search.spin_candidates import spin_candidates
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
@@ -85,7 +86,10 @@ def update_model(
     """Return the model `start` with parameters `theta` (p,), updated to describe the spectra."""
     lines = search_lines(spectra, start.geometry.channel_names, settings.fit)
     announce("search")
-    initial_sets = initial_candidates(spectra.lines, start.geometry, settings)
+    initial_sets = (
+        *initial_candidates(spectra.lines, start.geometry, settings),
+        *spin_candidates(spectra.lines, start.geometry, settings),
+    )
     search_result = search(start, theta, lines, announce, initial_sets, settings)
     given_labels = effect_labels(start)
     certain_labels = given_labels | {trial.label for trial in search_result.trials if trial.round == 0}

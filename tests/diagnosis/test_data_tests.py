@@ -13,6 +13,7 @@ from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
 from balance_cli.diagnosis.search.initial_candidates import initial_candidates
+from balance_cli.diagnosis.search.spin_candidates import spin_candidates
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.diagnosis.significance import bonferroni_min_p_value, chi2_p_value, format_with_sigma
 from balance_cli.estimation.measured_spectra import measured_spectra
@@ -305,6 +306,19 @@ def test_a_turning_rotor_is_compared_with_rest():
     (row,) = spin_tests([rest, swept_lines("Fz", 10.0, 3, modes=split, rotor_speed=17.5)], RIG, SETTINGS.data_tests)
     assert row.p_value < 1e-12 and "lower with the rotor turning" in row.finding
     assert level_tests([near, turning], RIG, SETTINGS.data_tests) == []
+
+
+def test_a_change_with_the_turning_rotor_alone_begins_a_search():
+    """Where two levels at rest differ, too, the turning rotor is not what changes the response."""
+    split = np.where(np.isclose(MODES, 27.4), MODES * 0.995, MODES)
+    rest, turning = swept_lines("Fz", 10.0, 1), swept_lines("Fz", 10.0, 3, modes=split, rotor_speed=17.5)
+    same, other = swept_lines("Mx", 10.0, 4), swept_lines("Mx", 4.0, 5, modes=split)
+    (found,) = spin_candidates([rest, turning, same, swept_lines("Mx", 4.0, 5)], RIG, SETTINGS)
+    assert [item.effect.needs_spin for item in found.candidates] == [True] and not found.is_certain
+    assert spin_candidates([rest, turning, same, other], RIG, SETTINGS) == ()
+    assert spin_candidates([rest, swept_lines("Fz", 9.0, 3, rotor_speed=17.5)], RIG, SETTINGS) == ()
+    excluded = replace(SETTINGS, excluded=tuple(item.label for item in found.candidates))
+    assert spin_candidates([rest, turning], RIG, excluded) == ()
 
 
 # ---- mains -----------------------------------------------------------------------------------------------------------

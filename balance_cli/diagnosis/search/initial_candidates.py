@@ -30,10 +30,15 @@ from balance_cli.signals.run_spectrum import RunSpectrum
 
 @dataclass(frozen=True)
 class InitialCandidates:
-    """Candidates of which one must be present, each started at the value that the pair gives, and their gain there."""
+    """Candidates of which one must be present, each started at the value that the pair gives, and their gain there.
+
+    `reason`: what shows them. Where they are not `is_certain`, the whole rig must be described better with one of them.
+    """
 
     candidates: tuple[Candidate, ...]
     gain: float
+    reason: str = "two channels of one cell differ this way"
+    is_certain: bool = True
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def search(
 ) -> SearchResult:
     """Add effects one by one until none helps; where the error stays large, fit everything again from the regression.
 
-    The effects that the channels of one cell demand come first. `announce` returns whether the time is over.
+    The effects that the data demand without a model come first. `announce` returns whether the time is over.
     """
     result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
     for initial_set in initial_sets:
@@ -99,6 +99,7 @@ def _add_initial_candidate(
     ends = {item.label: fit_with_candidate(state, item, lines, settings.fit) for item in initial_set.candidates}
     gains = {label: state.fit_criterion - end.fit_criterion for label, end in ends.items()}
     best = min(ends, key=lambda label: ends[label].fit_criterion)
+    is_added = initial_set.is_certain or gains[best] > settings.parameter_cost
     trials = [
         Trial(
             round=0,
@@ -107,12 +108,12 @@ def _add_initial_candidate(
             parameters=1,
             p_value=0.0,
             gain=gain - settings.parameter_cost,
-            decision="accepted" if label == best else "rejected",
-            reason="two channels of one cell differ this way" if label == best else "another one fits the plate better",
+            decision="accepted" if label == best and is_added else "rejected",
+            reason=initial_set.reason if label == best else "another one fits the plate better",
         )
         for label, gain in gains.items()
     ]
-    return result.add(ends[best], trials, {best: gains})
+    return result.add(ends[best], trials, {best: gains}) if is_added else result.add(state, trials, {})
 
 
 def restart_if_better(state: SearchState, lines: SearchLines, settings: SearchSettings) -> SearchState | None:

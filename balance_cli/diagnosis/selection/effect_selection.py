@@ -11,7 +11,11 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidate_at, parameters_of_interest, smaller_places
 from balance_cli.diagnosis.search.extended_models import extend_model
-from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic, wald_statistic
+from balance_cli.diagnosis.selection.effect_statistics import (
+    effect_wald_statistic,
+    shape_parameter_count,
+    wald_statistic,
+)
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
@@ -57,15 +61,20 @@ def _declared_and_placed(geometry: Geometry) -> list[tuple[DeclaredEffect, Place
 def prune_effects(
     fit: Fit, batches: Sequence[Batch], count: int, number: int, settings: SearchSettings
 ) -> tuple[Fit, tuple[Trial, ...]]:
-    """Return the model without effects, and without motions of effects, that others have made unnecessary."""
+    """Return the model without effects, and without motions of effects, that others have made unnecessary.
+
+    A shape of several parameters adapts to the noise, so that these count as well (Davies, Biometrika 64 (1977)
+    247: the supremum over parameters that are unidentifiable at the null).
+    """
     limits, trials = settings.selection, list[Trial]()
     for effect in sorted(declared_effects(fit.model.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
         gain, parameters = effect_wald_statistic(fit, effect)
+        fitted = max(parameters, 1) + shape_parameter_count(fit, effect)
         weak = gain < limits.strong_gain
-        if weak and bonferroni_p_value(gain, max(parameters, 1), count) >= limits.significance_level:
+        if weak and bonferroni_p_value(gain, fitted, count) >= limits.significance_level:
             reduced = refit_without_effect(fit, effect, batches, settings.fit)
             gain = reduced.chi2 - fit.chi2
-            if bonferroni_p_value(gain, max(parameters, 1), count) >= limits.significance_level:
+            if bonferroni_p_value(gain, fitted, count) >= limits.significance_level:
                 trials.append(_removal_trial(number, effect, parameters, gain, REASON_NOT_NEEDED))
                 fit = reduced
                 continue

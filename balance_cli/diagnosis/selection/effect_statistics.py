@@ -41,6 +41,17 @@ def effect_wald_statistic(fit: Fit, effect: PlacedEffect) -> tuple[float, int]:
     return wald_statistic(fit, [effect.full_name(item) for item in items], [item.fitted_null for item in items])
 
 
+def shape_parameter_count(fit: Fit, effect: PlacedEffect) -> int:
+    """Return how many fitted nuisance parameters shape an effect; zero for a single one, which a few starts scan."""
+    parameters = fit.model.parameters
+    free = [
+        item
+        for item in effect.parameters
+        if item.nuisance and parameters.free[parameters.index(effect.full_name(item))]
+    ]
+    return len(free) if len(free) > 1 else 0
+
+
 def confounding_limit(fit: Fit, batches: Sequence[Batch]) -> tuple[float, str]:
     """Return the chi-square that the inaccurate description of an effect may leave, and that effect's label.
 
