@@ -20,7 +20,7 @@ from studies.mutation.readers import READERS, Reader, Words
 MOST_CPU_TIME = 20
 """[s] of processor time, from which a call counts as one that does not end."""
 MOST_WALL_TIME = 120.0
-"""[s]. A call that waits uses no processor time."""
+"""[s]. A call that waits uses no processor time; one that is ready and gets none, on a busy machine, goes on."""
 MOST_MEMORY = 2**30
 """Bytes of resident memory of a call, from which it counts as one that uses too much."""
 PROGRAM_MEMORY = 180 * 2**20
@@ -134,11 +134,22 @@ def _run(action: Callable[[], None], work: Path) -> tuple[int, int, bool]:
         ended, status, usage = os.wait4(pid, os.WNOHANG)
         if ended:
             return os.waitstatus_to_exitcode(status), usage.ru_maxrss * 1024 - not_of_the_call, late
-        if time.monotonic() > deadline and not late:
+        if time.monotonic() > deadline and not late and not _is_ready(pid):
             late = True
             os.kill(pid, signal.SIGKILL)
         time.sleep(pause)
         pause = min(0.02, pause * 1.5)
+
+
+def _is_ready(pid: int) -> bool:
+    """Whether a process or one that it started computes, or would if it got a processor; false where nobody tells."""
+    try:
+        process = Path(f"/proc/{pid}")
+        state = (process / "stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+        children = (process / "task" / str(pid) / "children").read_text(encoding="ascii").split()
+    except OSError:
+        return False
+    return state == "R" or any(_is_ready(int(child)) for child in children)
 
 
 def _resident_memory() -> int:
