@@ -19,10 +19,10 @@ from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps.cross_checks import (
+    compare_loads,
     compare_static_response,
     cross_check,
     earlier_warnings,
@@ -95,13 +95,10 @@ def reduce(
     in_time = TimeOptions(method == "smoother", load_model, lag, harmonics)
     options = ReduceOptions(harmonics, rotor) if method == "harmonic" else in_time
     loads = [_reduce_run(run, geometry, calibration, source, reference, options) for run in used]
-    reduced = flag_contradicted_runs({run.run: run for run in loads}, findings)
-    comparisons = compare_wind_runs(reduced)
-    reduced = flag_turned_runs(reduced, comparisons)
+    flagged = flag_contradicted_runs({run.run: run for run in loads}, findings)
+    reduced, compared = compare_loads(flagged, calibration)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
-    warnings = sorted(
-        {*earlier, *filter(None, [fewer]), *turn_warnings(comparisons), *_warnings(findings, records, loads)}
-    )
+    warnings = sorted({*earlier, *filter(None, [fewer]), *compared, *_warnings(findings, records, loads)})
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
 
 

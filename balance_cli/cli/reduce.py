@@ -185,13 +185,13 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.response_description import text_with_rotor
     from balance_cli.reduction.result import HubLoads
-    from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
+    from balance_cli.steps.cross_checks import compare_loads
 
     runs = flag_contradicted_runs(session, runs)
-    comparisons = compare_wind_runs(runs) if not (reduction.method.frequencies or is_shard) else ()
-    for text in turn_warnings(comparisons):
-        session.warn(text)
-    runs = flag_turned_runs(runs, comparisons)
+    if not reduction.method.frequencies:
+        runs, compared = compare_loads(runs, reduction.calibration, is_shard)
+        for text in compared:
+            session.warn(text)
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first

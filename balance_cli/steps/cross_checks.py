@@ -18,7 +18,9 @@ from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trim_signs import flag_opposite_means, opposite_means
 from balance_cli.reduction.trust import flag_all
+from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.steps.static_agreement import static_findings
 from balance_cli.steps.trim_agreement import trim_findings
@@ -112,6 +114,19 @@ def flag_contradicted_runs(
         for name in set(finding.runs) & set(flagged):
             flagged[name] = _note_contradiction(flagged[name], finding)
     return flagged if flagged.maps[0] else runs
+
+
+def compare_loads(
+    runs: Mapping[str, RunLoads], calibration: Calibration | None, is_shard: bool = False
+) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
+    """Compare the loads of wind runs with each other and with the trims; return them flagged, and the warnings.
+
+    Those of a shard are compared with each other when the shards are merged.
+    """
+    opposite = tuple(opposite_means(runs.values(), calibration))
+    comparisons = () if is_shard else compare_wind_runs(runs)
+    flagged = flag_turned_runs(flag_opposite_means(runs, opposite), comparisons)
+    return flagged, (*(item.warning for item in opposite), *turn_warnings(comparisons))
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:
