@@ -107,7 +107,7 @@ def _sweep_choices(
             (settings.band, *hall.bands),
             hall.excitations,
             hall.levels,
-            hall.periods,
+            settings.periods,
         ):
             # Where the band is another one, the limits of the shaped power do not hold.
             has_power = len(excited) == 1 and excitation == "multisine" and band == settings.band
@@ -154,7 +154,7 @@ def _hammer_runs(geometry: Geometry, hall: Hall, settings: RecordSettings, syste
     for name, point in hammer_points(hall, geometry).items():
         contact, period = hit_contact(hall, settings), hit_period(hall, settings)
         level = hit_level(point, geometry, hall, settings, contact, system)
-        for hits in hall.periods:
+        for hits in settings.periods:
             plan = SweepPlan(
                 run=f"hammer-{name}-{hits}p",
                 excited=(point.component,),

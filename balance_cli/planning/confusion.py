@@ -73,26 +73,29 @@ def confused_pairs(
     names = [tuple(model.candidates[k].effect.name for k in item[:2]) for item in alike]
     leading = [item for k, item in enumerate(alike) if names[k] not in names[:k]][:MOST_PAIRS]
     with_runs, with_further = (
-        [(run.run, project(add_information([total, run], model), model)) for run in runs]
+        [(run.run, _cosines(add_information([total, run], model), model, leading)) for run in runs]
         for runs in (proposals, further)
     )
     pairs = []
-    for item in leading:
-        places = names.count(tuple(model.candidates[k].effect.name for k in item[:2]))
-        pair = _pair(model, positions, item, places, with_runs)
-        pairs.append(pair if pair.run else _with_further(pair, model, positions, item, with_further))
+    for k, item in enumerate(leading):
+        places = names.count(tuple(model.candidates[each].effect.name for each in item[:2]))
+        after, beyond = ([(cosines[k], name) for name, cosines in runs] for runs in (with_runs, with_further))
+        pair = _pair(model, item, places, after)
+        pairs.append(pair if pair.run else _with_further(pair, model, item, beyond))
     return tuple(pairs)
 
 
+def _cosines(total: RunInformation, model: ExtendedModel, alike: Sequence[tuple[int, int, float]]) -> list[float]:
+    """The cosine of each pair after the runs of `total`."""
+    projected, positions = project(total, model), tested_positions(model)
+    return [canonical_cosine(projected, positions[i], positions[j]) for i, j, _ in alike]
+
+
 def _with_further(
-    pair: ConfusedPair,
-    model: ExtendedModel,
-    positions: Sequence[Index],
-    alike: tuple[int, int, float],
-    with_further: Sequence[tuple[str, ProjectedInformation]],
+    pair: ConfusedPair, model: ExtendedModel, alike: tuple[int, int, float], further: Sequence[tuple[float, str]]
 ) -> ConfusedPair:
     """The pair with the run beyond the hall that separates it best, or what does otherwise."""
-    beyond = _pair(model, positions, alike, pair.places, with_further)
+    beyond = _pair(model, alike, pair.places, further)
     if beyond.run:
         return replace(pair, further=beyond.run, cosine_with_further=beyond.cosine_with_run)
     effects = dict.fromkeys(model.candidates[k].effect.separated_by for k in alike[:2])
@@ -100,14 +103,10 @@ def _with_further(
 
 
 def _pair(
-    model: ExtendedModel,
-    positions: Sequence[Index],
-    alike: tuple[int, int, float],
-    places: int,
-    with_runs: Sequence[tuple[str, ProjectedInformation]],
+    model: ExtendedModel, alike: tuple[int, int, float], places: int, after: Sequence[tuple[float, str]]
 ) -> ConfusedPair:
+    """The pair with the run that separates it best, of the cosines and names of runs."""
     i, j, cosine = alike
-    after = [(canonical_cosine(projected, positions[i], positions[j]), name) for name, projected in with_runs]
     least, name = min(after, default=(cosine, ""))
     first, second = model.candidates[i].label, model.candidates[j].label
     if least > cosine - LEAST_CHANGE:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 from balance_cli.model import effects
 from balance_cli.planning.detectability import (
     DetectionLevel,
-    ProjectedInformation,
     SmallestSize,
     project,
     smallest_sizes,
@@ -26,14 +26,32 @@ NOT_PREDICTED = "its frequency and phase are unknown, and it belongs to the hall
 """Why nothing is said of a tone: the score test of its power is not linear in its amplitude."""
 
 
-def cumulative_information(
-    before: RunInformation, runs: Sequence[RunInformation], model: ExtendedModel
-) -> tuple[RunInformation, ...]:
-    """What is known before the first run and after each."""
-    totals = [before]
+@dataclass(frozen=True)
+class Stage:
+    """What is known after some of the runs: smallest `sizes`, `covariance` (f, f), and `projection` (f, t).
+
+    The last two are those of `ProjectedInformation`, which itself is gigabytes for a thousand parameters and 60 runs.
+    """
+
+    sizes: tuple[SmallestSize, ...]
+    covariance: Array
+    projection: Array
+
+
+def forecast_stages(
+    before: RunInformation, runs: Sequence[RunInformation], model: ExtendedModel, detection: DetectionLevel
+) -> tuple[tuple[Stage, ...], RunInformation]:
+    """What is known before the first run and after each, and the information of all of them."""
+    total, stages = before, [_stage(before, model, detection)]
     for run in runs:
-        totals.append(add_information([totals[-1], run], model))
-    return tuple(totals)
+        total = add_information([total, run], model)
+        stages.append(_stage(total, model, detection))
+    return tuple(stages), total
+
+
+def _stage(total: RunInformation, model: ExtendedModel, detection: DetectionLevel) -> Stage:
+    projected = project(total, model)
+    return Stage(smallest_sizes(projected, model, detection), projected.covariance, projected.projection)
 
 
 def unpredicted_effects(model: ExtendedModel, names: Collection[str] | None = None) -> dict[str, str]:
@@ -58,9 +76,8 @@ def _why_unpredicted(effect: effects.Effect, model: ExtendedModel) -> str:
 
 
 def detectable_effects(
-    stages: Sequence[ProjectedInformation],
+    stages: Sequence[Stage],
     model: ExtendedModel,
-    detection: DetectionLevel,
     forecast: LoadForecast | None,
     further: Sequence[RunInformation] = (),
 ) -> tuple[DetectableEffect, ...]:
@@ -69,8 +86,8 @@ def detectable_effects(
     `further`: other runs, those beyond the hall named by what they are; an effect that no run of the plan shows names
     the one that tells most of it.
     """
-    beyond = [(run.run, project(run, model)) for run in further]
-    tables = [smallest_sizes(stage, model, detection) for stage in stages]
+    beyond = [(run.run, np.diag(project(run, model).V).copy()) for run in further]
+    tables = [stage.sizes for stage in stages]
     unpredicted = {item.effect.name for item in model.candidates if item.effect.search.tone is not None}
     names = dict.fromkeys(item.effect for item in tables[-1])
     return tuple(
@@ -81,10 +98,10 @@ def detectable_effects(
 def _detectable_effect(
     name: str,
     tables: Sequence[Sequence[SmallestSize]],
-    stages: Sequence[ProjectedInformation],
+    stages: Sequence[Stage],
     model: ExtendedModel,
     forecast: LoadForecast | None,
-    beyond: Sequence[tuple[str, ProjectedInformation]],
+    beyond: Sequence[tuple[str, Array]],
 ) -> DetectableEffect:
     rows = [item for item in tables[-1] if item.effect == name]
     scale = model.scales
@@ -93,7 +110,7 @@ def _detectable_effect(
     easiest = min(rows, key=lambda item: item.size / scale[item.index])
     at_hardest = [next(item for item in table if item.index == hardest.index) for table in tables]
     errors = [
-        None if forecast is None else load_error(forecast, model, stage, item)
+        None if forecast is None else load_error(forecast, model, stage.projection, item)
         for stage, item in zip(stages, at_hardest, strict=True)
     ]
     shares = tuple(
@@ -119,14 +136,12 @@ def _detectable_effect(
     )
 
 
-def _run_that_shows(
-    item: SmallestSize, model: ExtendedModel, beyond: Sequence[tuple[str, ProjectedInformation]]
-) -> str:
+def _run_that_shows(item: SmallestSize, model: ExtendedModel, beyond: Sequence[tuple[str, Array]]) -> str:
     """The measurement that would show an effect which the sweeps of a plan do not.
 
-    Of the runs beyond the hall it is the one with the most information on it.
+    Of the runs beyond the hall (name, diagonal (t,) of V) it is the one with the most information on it.
     """
-    best, what = max(((float(each.V[item.index, item.index]), name) for name, each in beyond), default=(0.0, ""))
+    best, what = max(((float(diagonal[item.index]), name) for name, diagonal in beyond), default=(0.0, ""))
     if best > 0:
         return what
     effect = next(each.effect for each in model.candidates if each.effect.name == item.effect)
@@ -138,9 +153,7 @@ def _run_that_shows(
     return effect.separated_by[0].lower() + effect.separated_by[1:].rstrip(".")
 
 
-def load_sigma(
-    stages: Sequence[ProjectedInformation], model: ExtendedModel, forecast: LoadForecast | None
-) -> LoadSigma | None:
+def load_sigma(stages: Sequence[Stage], model: ExtendedModel, forecast: LoadForecast | None) -> LoadSigma | None:
     """The sigma of the hub loads before and after the runs; None without a forecast."""
     if forecast is None:
         return None
@@ -158,9 +171,7 @@ def load_sigma(
     )
 
 
-def parameter_forecasts(
-    first: ProjectedInformation, last: ProjectedInformation, model: ExtendedModel
-) -> tuple[ParameterForecast, ...]:
+def parameter_forecasts(first: Stage, last: Stage, model: ExtendedModel) -> tuple[ParameterForecast, ...]:
     """The sigma of every fitted parameter before and after the runs."""
     parameters = model.model.parameters
     free = np.flatnonzero(parameters.free)[model.indices.fitted]
@@ -176,8 +187,3 @@ def parameter_forecasts(
         )
         for k, i in enumerate(free)
     )
-
-
-def projected_stages(totals: Sequence[RunInformation], model: ExtendedModel) -> tuple[ProjectedInformation, ...]:
-    """The projected information at each stage."""
-    return tuple(project(total, model) for total in totals)

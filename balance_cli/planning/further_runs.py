@@ -47,7 +47,7 @@ def further_runs(
         level=tuple(limit.level / len(names) for limit in limits),
         band=settings.band,
         period=settings.period,
-        periods=max(FEWEST_PERIODS, min(hall.periods)),
+        periods=max(FEWEST_PERIODS, min(settings.periods)),
         sample_rate=settings.sample_rate,
         phases="schroeder",
     )

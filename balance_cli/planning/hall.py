@@ -40,6 +40,10 @@ BAND_ABOVE_HARMONICS = 8.5
 """End of the band over the rotor speed: beyond harmonic 8, which `reduce` estimates by default."""
 BAND_ABOVE_MODES = 1.3
 """End of the band over the highest mode: beyond it the mass dominates."""
+USUAL_PERIODS = (7, 15)
+"""Numbers of periods to choose from, where the hall does not say them: about half of the shorter record is steady."""
+LEAST_LONGEST = 10.0
+"""[s] that the longest record takes at least: beside an overhead of half a minute a shorter one wastes hall time."""
 SAMPLES_PER_CYCLE = 5.0
 """Sample rate over the end of the band, where the acquisition does not say it."""
 FILTER_SAMPLES = 4.0
@@ -48,6 +52,8 @@ BAND_BELOW_CUTOFF = 0.75
 """End of the band over the cutoff of the anti-alias filter."""
 
 
+WHOLE = 1e-6
+"""Periods that are no more than this beyond a whole number are it: rounding."""
 SHORTEST_HIT_PERIOD = 0.2
 """[s] between two hits: what comes sooner is a hammer that bounced (`signals.impact.DOUBLE_INTERVAL`)."""
 
@@ -97,9 +103,10 @@ class Hall(FrozenModel):
     always at most `margin` of it and of a channel's range. `simultaneous`: exciters that can run at once.
     `change_minutes`: time for another set-up (other components, another rotor speed); `overhead_minutes`: time that
     each run takes besides its record. `band` [Hz], `sample_rate` [Hz], `period` [s] and `periods` (numbers of periods
-    to choose from) describe the records; `bands` and `excitations` are further choices, `levels` shares of the largest
-    level, `rotor_speeds` [Hz] those at which sweeps can be made, `trims` mean loads during a sweep; `phases` are those
-    of the multisines, and `spectrum` says whether their power is put where it tells most. `hammer`: its hits.
+    to choose from, by default 7 and 15, and more where 15 take less than 10 s) describe the records; `bands` and
+    `excitations` are further choices, `levels` shares of the largest level, `rotor_speeds` [Hz] those at which sweeps
+    can be made, `trims` mean loads during a sweep; `phases` are those of the multisines, and `spectrum` says whether
+    their power is put where it tells most. `hammer`: its hits.
     `minutes_per_point`: time of a load point, with which static runs can be chosen, too. `loads`:
     amplitude [N, N m] of the hub loads for which their sigma counts; `record_seconds`: length of a record with the
     rotor turning. `effects`: names of those that the plan considers, by default all. `static_loads`: largest load of
@@ -114,7 +121,7 @@ class Hall(FrozenModel):
     band: tuple[Positive, Positive] | None = None
     sample_rate: Positive | None = None
     period: Positive | None = None
-    periods: Annotated[tuple[Annotated[int, Field(ge=2, le=MOST_PERIODS)], ...], Field(min_length=1)] = (7, 15)
+    periods: Annotated[tuple[Annotated[int, Field(ge=2, le=MOST_PERIODS)], ...], Field(min_length=1)] | None = None
     levels: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = (1.0, 0.4)
     rotor_speeds: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0,)
     excitations: Annotated[tuple[Excitation, ...], Field(min_length=1)] = ("multisine",)
@@ -142,18 +149,19 @@ class Hall(FrozenModel):
         if "impact" in self.excitations:
             raise ValueError("`impact` is no choice of `excitations`: declare a `hammer`")
         for name in ("periods", "levels", "rotor_speeds", "excitations", "bands", "trims"):
-            values = getattr(self, name)
+            values = getattr(self, name) or ()
             if len({str(value) for value in values}) < len(values):
                 raise ValueError(f"`{name}` has a value twice")
         return self
 
 
 class RecordSettings(FrozenModel):
-    """Band [Hz], sample rate [Hz] and period [s] of the sweeps."""
+    """Band [Hz], sample rate [Hz] and period [s] of the sweeps, and the numbers of periods to choose from."""
 
     band: tuple[Positive, Positive]
     sample_rate: Positive
     period: Positive
+    periods: tuple[int, ...]
 
 
 def open_hall() -> Hall:
@@ -237,14 +245,15 @@ def record_settings(geometry: Geometry, hall: Hall) -> RecordSettings:
     if band[1] * period - max(band[0] * period, 1.0) < 1.0:
         fault = f"a period of {period:g} s has no two lines from {band[0]:g} to {band[1]:g} Hz"
         raise UserError(fault, place="period", remedy="Give a longer `period` or a wider `band`")
-    if max(hall.periods) * period * sample_rate > MOST_SAMPLES:
-        fault = f"{max(hall.periods)} periods of {period:g} s are more than {MOST_SAMPLES} samples"
+    periods = hall.periods or _default_periods(period)
+    if max(periods) * period * sample_rate > MOST_SAMPLES:
+        fault = f"{max(periods)} periods of {period:g} s are more than {MOST_SAMPLES} samples"
         raise UserError(fault, place="periods", remedy="Give fewer `periods` or a shorter `period`")
     fastest = max(hall.rotor_speeds)
     if fastest >= sample_rate / 2.0:
         fault = f"the rotor speed {fastest:g} Hz is not below half of the sample rate {sample_rate:g} Hz"
         raise UserError(fault, place="rotor_speeds", remedy="Give lower speeds or a higher `sample_rate`")
-    return RecordSettings(band=band, sample_rate=sample_rate, period=period)
+    return RecordSettings(band=band, sample_rate=sample_rate, period=period, periods=periods)
 
 
 def _band_and_rate(geometry: Geometry, hall: Hall) -> tuple[tuple[float, float], float]:
@@ -266,6 +275,12 @@ def _default_period(geometry: Geometry) -> float:
     half_width = table.damping_ratio * table.frequency
     narrow = half_width[half_width > 0]
     return LINES_PER_HALF_WIDTH / float(narrow.min()) if len(narrow) else 4.0
+
+
+def _default_periods(period: float) -> tuple[int, ...]:
+    """The usual numbers of periods, both larger by as much as makes the longest record last."""
+    factor = max(1.0, LEAST_LONGEST / (max(USUAL_PERIODS) * period))
+    return tuple(min(math.ceil(factor * count - WHOLE), MOST_PERIODS) for count in USUAL_PERIODS)
 
 
 def _whole_samples(period: float, sample_rate: float) -> float:

@@ -21,7 +21,7 @@ from balance_cli.model.plate import carried_components
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system_response import response, solve
 from balance_cli.planning.channel_noise import ChannelNoise, channel_sigma
-from balance_cli.planning.detectability import ProjectedInformation, SmallestSize
+from balance_cli.planning.detectability import SmallestSize
 from balance_cli.planning.extended_model import ExtendedModel
 from balance_cli.signals.anti_alias import anti_alias_response
 
@@ -110,19 +110,18 @@ def total_sigma(forecast: LoadForecast, model: ExtendedModel, covariance: Array)
     return np.asarray(np.hypot(parameter_sigma(forecast, model, covariance), forecast.noise))
 
 
-def load_error(
-    forecast: LoadForecast, model: ExtendedModel, projected: ProjectedInformation, size: SmallestSize
-) -> Array | None:
+def load_error(forecast: LoadForecast, model: ExtendedModel, projection: Array, size: SmallestSize) -> Array | None:
     """Largest error (m,) of each load's amplitude over the harmonics, where an effect of this size is not modeled.
 
-    None where the size is not finite, or where the effect is no part of the linear response.
+    `projection` (f, t): of `ProjectedInformation`. None where the size is not finite, or where the effect is no part of
+    the linear response.
     """
     tested = np.concatenate(model.indices.tested)
     parameter = int(tested[size.index])
     if not np.isfinite(size.size) or not np.any(forecast.jacobian[..., parameter]):
         return None
     change = forecast.jacobian[..., parameter] * size.size
-    hidden = forecast.jacobian[..., model.indices.fitted] @ projected.projection[:, size.index]
+    hidden = forecast.jacobian[..., model.indices.fitted] @ projection[:, size.index]
     # The loads act with independent phases: their errors add up as squares.
     error = np.sqrt(np.sum(np.abs(change - size.size * hidden) ** 2, axis=2))
     return np.asarray(error.max(axis=0))

@@ -22,11 +22,10 @@ from balance_cli.planning.design import Design, Problem, choose_runs, rank_runs
 from balance_cli.planning.detectability import DetectionLevel, information_rows
 from balance_cli.planning.extended_model import ExtendedModel, extended_model
 from balance_cli.planning.forecast import (
-    cumulative_information,
     detectable_effects,
+    forecast_stages,
     load_sigma,
     parameter_forecasts,
-    projected_stages,
     unpredicted_effects,
 )
 from balance_cli.planning.further_runs import further_runs
@@ -154,9 +153,10 @@ def line_powers(
         return {}
     single = hall.model_copy(
         update={"simultaneous": 1, "rotor_speeds": hall.rotor_speeds[:1], "trims": ({},), "bands": (), "levels": (1.0,)}
-        | {"periods": (min(hall.periods),), "excitations": ("multisine",), "hammer": None, "minutes_per_point": None}
+        | {"excitations": ("multisine",), "hammer": None, "minutes_per_point": None}
     )
-    sweeps = candidate_runs(geometry, single, base.settings, base.model.system)
+    shortest = base.settings.model_copy(update={"periods": (min(base.settings.periods),)})
+    sweeps = candidate_runs(geometry, single, shortest, base.model.system)
     edges = band_edges(base.settings, base.model)
     shown = band_response(geometry, base.settings.band, base.model.system)
     signals, bands = SignalStore(base.rig), []
@@ -216,7 +216,7 @@ def planning_rig(
     reference = _reference_loads(model.geometry, hall, limits)
     forecast = load_forecast(extended, noise, reference, settings.sample_rate, hall.record_seconds)
     excitable_components(model.geometry, hall)
-    return PlanningRig(extended, rig, noise, settings, limits, forecast, max(hall.periods))
+    return PlanningRig(extended, rig, noise, settings, limits, forecast, max(settings.periods))
 
 
 def _reference_loads(geometry: Geometry, hall: Hall, limits: Iterable[LevelLimit]) -> Mapping[str, float]:
@@ -250,8 +250,7 @@ def _describe(
         i: _forecast_information(base, problem, i, options.seed, deadline) for i, _ in zip(order, shown, strict=True)
     }
     runs = [rehearsed[i] for i in chosen]
-    totals = cumulative_information(problem.before, runs, base.model)
-    stages = projected_stages(totals, base.model)
+    stages, total = forecast_stages(problem.before, runs, base.model, options.detection)
     named = number_runs([problem.candidates[i] for i in chosen])
     proposals = list({run.run: run for run in problem.information}.values())
     further = _further_information(base, options, deadline)
@@ -266,9 +265,9 @@ def _describe(
         noise_source=base.noise.source,
         detection=options.detection,
         limits=base.limits,
-        effects=detectable_effects(stages, base.model, options.detection, base.forecast, (*proposals, *further)),
+        effects=detectable_effects(stages, base.model, base.forecast, (*proposals, *further)),
         unpredicted=unpredicted_effects(base.model, options.hall.effects),
-        confusion=confused_pairs(totals[-1], base.model, proposals, further),
+        confusion=confused_pairs(total, base.model, proposals, further),
         ranking=rank_runs(problem, chosen, deadline),
         loads=load_sigma(stages, base.model, base.forecast),
         parameters=parameter_forecasts(stages[0], stages[-1], base.model),

@@ -20,7 +20,7 @@ from balance_cli.planning.confusion import confused_pairs
 from balance_cli.planning.design import Design
 from balance_cli.planning.detectability import information_rows
 from balance_cli.planning.extended_model import extended_model
-from balance_cli.planning.hall import Hall, record_settings
+from balance_cli.planning.hall import Hall, open_hall, record_settings
 from balance_cli.planning.information import RunInformation, band_information, no_information, spectra_information
 from balance_cli.planning.line_power import BandInformation, PowerProblem, optimal_powers, raise_weak_lines
 from balance_cli.planning.rehearsal import lower_sample_rate, rehearse
@@ -48,6 +48,14 @@ def candidates(letter="A", **changes):
     declared = hall(**changes)
     system = balance_model(geometry).system()
     return candidate_runs(geometry, declared, record_settings(geometry, declared), system)
+
+
+@pytest.mark.parametrize(("letter", "periods"), [("A", (7, 15)), ("E", (20, 43))])
+def test_records_of_quick_rigs_have_more_periods(letter, periods):
+    settings = record_settings(other_rig(letter), open_hall())
+    assert settings.periods == periods
+    assert max(periods) * settings.period >= 10.0
+    assert record_settings(other_rig(letter), hall()).periods == (4,)
 
 
 def test_mean_loads_points_and_weights_are_candidates():
