@@ -3,6 +3,7 @@
 "use strict";
 const charts = [], links = new Map(), MISSING = 65535;
 const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const px = n => n * (parseFloat(css("--px")) || 1);  // larger on very wide screens
 const digits = 6;  // of float32, which has seven
 const text = v => v == null || !isFinite(v) ? "–" : v === 0 ? "0" : String(Number(v.toPrecision(digits))).replace("-", "−");
 
@@ -30,7 +31,7 @@ function drawMarks(u, marks) {
   ctx.save();
   ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
   ctx.strokeStyle = ctx.fillStyle = css("--soft");
-  ctx.lineWidth = k * 0.8; ctx.setLineDash([4 * k, 4 * k]); ctx.font = `${10 * k}px sans-serif`;
+  ctx.lineWidth = k * 0.8; ctx.setLineDash([4 * k, 4 * k]); ctx.font = `${px(10) * k}px sans-serif`;
   ctx.textAlign = "left"; ctx.textBaseline = "alphabetic";
   let free = 0;  // a label that would cover another is left out
   for (const [x, label] of marks) {
@@ -38,7 +39,7 @@ function drawMarks(u, marks) {
     if (at < bbox.left || at > bbox.left + bbox.width) continue;
     ctx.beginPath(); ctx.moveTo(at, bbox.top); ctx.lineTo(at, bbox.top + bbox.height); ctx.stroke();
     if (!label || at < free) continue;
-    ctx.fillText(label, at + 3 * k, bbox.top + 10 * k);
+    ctx.fillText(label, at + 3 * k, bbox.top + px(10) * k);
     free = at + 6 * k + ctx.measureText(label).width;
   }
   ctx.restore();
@@ -68,9 +69,9 @@ function axis(label, log) {
   // uPlot takes an undefined option for a given one; its own logarithmic ticks need limits at powers of ten.
   const splits = log ? {splits: decades} : {};
   return {...(/^phase/.test(label) ? {incrs: [10, 30, 90, 180]} : {}), ...splits,
-    label, labelSize: 18, labelFont: "12px sans-serif", font: "11px sans-serif", stroke: () => css("--soft"),
+    label, labelSize: px(18), labelFont: `${px(12)}px sans-serif`, font: `${px(11)}px sans-serif`, stroke: () => css("--soft"),
     grid: {stroke: () => css("--line"), width: 1}, ticks: {stroke: () => css("--line"), width: 1},
-    size: log === null ? 34 : 62, gap: 3, values: tickNumbers};
+    size: px(log === null ? 34 : 62), gap: 3, values: tickNumbers};
 }
 function decades(u, axis, low, high) {  // 1, or 1, 2 and 5 where there are few decades
   const factors = high / low < 100 ? [1, 2, 5] : [1], out = [];
@@ -98,7 +99,7 @@ function range(plot, get) {
 }
 function options(plot, width, chart, get) {
   const unit = /\[(.*)\]/.exec(plot.yl), suffix = unit ? ` ${unit[1]}` : "";
-  return {width, height: plot.h, scales: {x: {time: false}, y: {distr: plot.log ? 3 : 1, range: range(plot, get)}},
+  return {width, height: px(plot.h), scales: {x: {time: false}, y: {distr: plot.log ? 3 : 1, range: range(plot, get)}},
     axes: [axis(plot.xl, null), axis(plot.yl, plot.log)],
     cursor: {drag: {x: true, y: true, uni: 24}, ...(chart.link ? {sync: {key: chart.link, scales: ["x", null]}} : {}),
       points: {size: 6}},
