@@ -3,8 +3,8 @@
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.search.refit import fit_until_stable
-from balance_cli.diagnosis.search.restarts import restart_one_by_one
+from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
+from balance_cli.diagnosis.search.restarts import restart_one_by_one, restarted_values
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measurements import stack_runs
@@ -80,3 +80,18 @@ def test_a_model_without_such_effects_stays():
     lines = search_lines_of(supported_model())
     state = fit_until_stable(rigid, rigid.parameters.value.copy(), lines, DEFAULT_SETTINGS.fit)
     assert restart_one_by_one(state, lines, DEFAULT_SETTINGS) is state
+
+
+def test_a_small_error_restarts_masses_only():
+    """Six motions of a support take long; where a little is left they are right, and a mass may still be far off."""
+    supported = supported_model()
+    mass = DeclaredEffect(name="added-mass", where=(), parameters={"mass": 0.1, "x": 2.0, "y": 0.0, "z": 0.0})
+    effects = (*supported.geometry.effects, mass)
+    model = balance_model(supported.geometry.model_copy(update={"effects": effects}))
+    theta, place = np.array(model.parameters.value), model.parameters.index("added-mass.mass")
+
+    def restarted(error):
+        state = SearchState(model, theta, {"sweep": error}, 0.0, 0.0)
+        return [np.flatnonzero(values != theta) for values in restarted_values(state, DEFAULT_SETTINGS)]
+
+    assert len(restarted(0.1)) == 4 and [place in changed for changed in restarted(0.01)] == [True, True]

@@ -1,7 +1,8 @@
 """Restarts of a fit that ended in a wrong minimum, with single motions of its effects restarted.
 
 A motion of a large support that begins too stiff may end rigid while the others take over what it explains. No later
-round would find it again, as a rig has one support, and pruning would drop the motion as needless.
+round would find it again, as a rig has one support, and pruning would drop the motion as needless. A mass that began
+small and far away may stay there, at the wrong end of the valley of mass and arm.
 """
 
 from __future__ import annotations
@@ -26,21 +27,25 @@ def restart_one_by_one(state: SearchState, lines: SearchLines, settings: SearchS
     for _ in range(settings.rounds.max_restarts):
         fit = partial(fit_until_stable, state.model, lines=lines, settings=settings.fit)
         with ThreadPoolExecutor(WORKERS) as workers:
-            ends = list(workers.map(fit, _restarted_values(state)))
+            ends = list(workers.map(fit, restarted_values(state, settings)))
         best = min(ends, key=lambda end: end.fit_criterion, default=state)
         if best.fit_criterion >= state.fit_criterion - settings.parameter_cost:
             break
         state = best
-        if state.error <= settings.rounds.stuck_error:
+        if state.error <= settings.rounds.large_error:
             break
     return state
 
 
-def _restarted_values(state: SearchState) -> list[Array]:
-    """The parameters (p,) of a state with each set of restart values of its effects."""
-    vectors = []
+def restarted_values(state: SearchState, settings: SearchSettings) -> list[Array]:
+    """Return the parameters (p,) of a state with each set of restart values of its effects.
+
+    Where the error is small, those of point masses only, which are few.
+    """
+    vectors, is_stuck = list[Array](), state.error > settings.rounds.stuck_error
     for effect in declared_effects(state.geometry):
-        restarts = effect.effect.search.restarts
+        hints = effect.effect.search
+        restarts = hints.restarts if is_stuck or hints.point_mass is not None else None
         full_names = {item.fitted_name: effect.full_name(item) for item in effect.parameters}
         for values in () if restarts is None else restarts(state.geometry, effect.where):
             theta = state.theta.copy()

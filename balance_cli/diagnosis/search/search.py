@@ -123,6 +123,6 @@ def restart_if_better(state: SearchState, lines: SearchLines, settings: SearchSe
     """
     restarted = restart(state, lines, settings.fit)
     best = restarted if restarted.fit_criterion < state.fit_criterion else state
-    if best.error > settings.rounds.stuck_error:
+    if best.error > settings.rounds.large_error:
         best = restart_one_by_one(best, lines, settings)
     return best if best.fit_criterion < state.fit_criterion - settings.parameter_cost else None

@@ -25,6 +25,8 @@ from balance_cli.model.mechanics.equations import Equations
 
 SMALL_ARM = 0.13
 """A change of place that matters, relative to the size of the rig."""
+RESTART_MASS = 0.03
+"""Mass, relative to that of the metric side, with which a fit in a wrong minimum begins again: larger than most."""
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -54,6 +56,12 @@ def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]
         *(np.array(cell.position) for cell in geometry.cells),
     ]
     return tuple(dict(zip("xyz", map(float, point), strict=True)) for point in points)
+
+
+def _restarts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
+    """A fair mass between hub and origin, or at the hub: a small one far away is the wrong end of the valley."""
+    mass = RESTART_MASS * sum(body.mass for body in geometry.bodies)
+    return tuple({"mass": mass, **start} for start in _starts(geometry, where)[:2])
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
@@ -86,5 +94,9 @@ EFFECT = Effect(
     places=whole_rig,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(starts=_starts, point_mass=PointMassParameters("mass", ("x", "y", "z"), "damping_share")),
+    search=SearchHints(
+        starts=_starts,
+        restarts=_restarts,
+        point_mass=PointMassParameters("mass", ("x", "y", "z"), "damping_share"),
+    ),
 )
