@@ -12,9 +12,11 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.diagnosis.consistency.anti_alias import filter_findings
+from balance_cli.diagnosis.consistency.delays import common_delay
 from balance_cli.diagnosis.consistency.descriptions import describe_mistakes
 from balance_cli.diagnosis.consistency.evidence import Evidence, gather_evidence, rig_size
 from balance_cli.diagnosis.consistency.findings import (
+    DELAY,
     DIFFERENT_RIG,
     FAULT,
     FREQUENCIES,
@@ -174,7 +176,7 @@ def _level_findings(rows: Sequence[ResponseRows], levels: dict[str, tuple[float,
 
 
 def _deviating_runs(runs: Sequence[Evidence]) -> list[ConsistencyFinding]:
-    """Check runs that respond otherwise than the sweeps at most of their lines, though no mistake explains it."""
+    """Check runs that are late, or respond otherwise than the sweeps at most lines, though no mistake explains it."""
     findings = []
     for run in runs:
         columns = list(run.applied)
@@ -185,9 +187,19 @@ def _deviating_runs(runs: Sequence[Evidence]) -> list[ConsistencyFinding]:
         measured = np.nan_to_num(run.forces[known])
         if known.sum() < FEWEST_LINES:
             continue
+        delay = common_delay(run.rows.frequency[known], measured, predicted[known])
+        if delay is not None:
+            findings.append(_describe_delay(run.run, delay))
+            continue
         size = np.linalg.norm(predicted[known], axis=1)
         deviation = float(np.median(np.linalg.norm(measured - predicted[known], axis=1) / np.maximum(size, 1e-300)))
         if deviation > LARGEST_DEVIATION:
             text = f"the channels differ by {100 * deviation:.0f} % from what the sweeps predict: another geometry?"
             findings.append(ConsistencyFinding(DIFFERENT_RIG, WARNING, text, (run.run,)))
     return findings
+
+
+def _describe_delay(run: str, delay: float) -> ConsistencyFinding:
+    when = "later" if delay > 0 else "earlier"
+    text = f"the channels come {1e3 * abs(delay):.3g} ms {when} after the loads than in the sweeps"
+    return ConsistencyFinding(DELAY, WARNING, f"{text}: another filter or clock of channels or loads?", (run,))

@@ -27,6 +27,7 @@ ANTI_ALIAS = "anti-alias filter"
 STATIC_RESPONSE = "static response"
 NOISE_LEVEL = "noise level"
 LOADED_TARE = "loaded tare"
+DELAY = "delay"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -47,6 +48,7 @@ KINDS = (
     STATIC_RESPONSE,
     NOISE_LEVEL,
     LOADED_TARE,
+    DELAY,
 )
 
 

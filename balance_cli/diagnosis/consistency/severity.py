@@ -56,7 +56,7 @@ def contradicts_loads(kind: str, in_all_runs: bool, factor: float | None = None)
     """
     if kind in FACTOR_KINDS and not in_all_runs and factor:
         return not 1.0 / LARGE_FACTOR <= abs(factor) <= LARGE_FACTOR
-    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION, kinds.NOISE_LEVEL)
+    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION, kinds.NOISE_LEVEL, kinds.DELAY)
 
 
 def findings_for_command(
