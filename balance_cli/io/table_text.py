@@ -2,7 +2,7 @@
 
 The separator is a tab, `;`, `|`, a comma or white space, whichever splits the lines into the same number of columns.
 Lines that begin with `#`, `%` or `//` are comments. The head is the line above the first line of numbers; a line of
-units may stand between them. Lines above the head are titles.
+units may stand between them. Lines above the head are titles. A head that is repeated within the table is left out.
 """
 
 from __future__ import annotations
@@ -33,7 +33,9 @@ MIN_NUMBER_SHARE = 0.5
 MIN_EVEN_SHARE = 0.8
 """Share of the lines with the same number of columns from which a separator is credible; titles are few."""
 DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(e[+-]?\d+)?$", re.IGNORECASE)
-THOUSANDS = re.compile(r"^[+-]?\d{1,3}(,\d{3})+\.\d*$|^[+-]?\d{1,3}(\.\d{3})+,\d*$")
+THOUSANDS = re.compile(r"^[+-]?\d{1,3}(,\d{3})+\.\d*$|^[+-]?\d{1,3}(\.\d{3})+,\d*$|^[+-]?\d{1,3}( \d{3})+([.,]\d*)?$")
+CLEAR_GROUP_SIGN = re.compile(r"(?<=\d)['\u2019\u00a0\u202f](?=\d{3}(?!\d))")
+"""Apostrophes (Switzerland) and no-break spaces between thousands, which can be nothing else."""
 
 Row = tuple[int, tuple[str, ...]]
 
@@ -83,7 +85,7 @@ class TextTable:
 
 def parse_number(cell: str, decimal_comma: bool = False) -> float | None:
     """The number that a cell holds (`1.5`, `-2,5`, `1.0D-03`), or None."""
-    text = cell.replace("\N{MINUS SIGN}", "-").replace("\N{NO-BREAK SPACE}", "")
+    text = CLEAR_GROUP_SIGN.sub("", cell.replace("\N{MINUS SIGN}", "-"))
     if decimal_comma:
         text = text.replace(",", ".") if "." not in text else "x"
     if "_" in text:
@@ -104,13 +106,21 @@ def read_table(path: Path) -> TextTable:
     first = _first_data_row(path, rows)
     header_at, units = _find_header(path, rows, first)
     header = _unique_header(path, rows[header_at])
-    data = [(line, cells) for line, cells in rows[first:] if any(cells)]
-    for line, cells in data:
-        if (len(cells) > len(header) and any(cells[len(header) :])) or len(cells) < len(header):
-            fault = f"has {len(cells)} columns, the head (line {rows[header_at][0]}) has {len(header)}"
-            raise UserError(fault, str(path), f"line {line}", "Give every row one cell for each column")
+    repeated = {cells for _, cells in rows[header_at:first]}
+    data = [(line, cells) for line, cells in rows[first:] if any(cells) and cells not in repeated]
+    _require_even_rows(path, data, header, rows[header_at][0])
     trimmed = tuple((line, cells[: len(header)]) for line, cells in data)
     return TextTable(path, header, units, trimmed, _has_decimal_comma(trimmed), hashlib.sha256(content).hexdigest())
+
+
+def _require_even_rows(path: Path, data: Sequence[Row], header: Sequence[str], header_line: int) -> None:
+    """Raise UserError where a row has fewer cells than the head, or more that are filled."""
+    for line, cells in data:
+        if (len(cells) > len(header) and any(cells[len(header) :])) or len(cells) < len(header):
+            columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
+            fault = f"has {columns}, the head (line {header_line}) has {len(header)}"
+            remedy = "Give every row one cell for each column, and delete lines that are no rows of the table"
+            raise UserError(fault, str(path), f"line {line}", remedy)
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -28,6 +28,7 @@ def table(tmp_path: Path, text: str, encoding: str = "utf-8") -> TextTable:
         "Calibration 7;\nby hand;\nFx;B1\n0;0,5\n% spoilt\n10;-1,25\n-20;0,002\n",
         "Fx,B1,,\n0,0.5,,\n10,-1.25,,\n-20,2e-3,,\n",
         "Fx | B1\n0 | 0.5\n10 | -1.25\n-20 | 0.002\n",
+        "Fx,B1\n0,0.5\n\nFx,B1\n10,-1.25\nFx,B1\n-20,2e-3\n",
     ],
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
@@ -43,6 +44,8 @@ def test_units_row(tmp_path: Path, units: str) -> None:
     read = table(tmp_path, f"Fx,B1\n{units}\n0,0.5\n10,-1.25\n")
     assert read.header == ("Fx", "B1")
     assert read.units[0] == "N"
+    again = table(tmp_path, f"Fx,B1\n{units}\n0,0.5\nFx,B1\n{units}\n10,-1.25\n")
+    assert again.rows[1] == (6, ("10", "-1.25"))
 
 
 def test_labels_are_no_numbers(tmp_path: Path) -> None:
@@ -62,7 +65,7 @@ def test_labels_in_quotes_hold_any_separator(tmp_path: Path, label: str) -> None
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("Fx,B1\n1,2\n3\n4,5\n5,6\n6,7\n", r"line 3: has 1 columns, the head \(line 1\) has 2"),
+        ("Fx,B1\n1,2\n3\n4,5\n5,6\n6,7\n", r"line 3: has 1 column, the head \(line 1\) has 2"),
         ("1,2\n3,4\n", "begins with numbers"),
         ("", "has no rows"),
         ("hello\nworld\n", "no rows of numbers"),
@@ -77,7 +80,10 @@ def test_bad_tables(tmp_path: Path, text: str, words: str) -> None:
 
 @pytest.mark.parametrize(
     ("cell", "words"),
-    [("", "empty"), ("nan", "not finite"), ("1_0", "not a number"), ('"1,234.5"', "thousands"), ("x", "not a number")],
+    [
+        *(("", "empty"), ("nan", "not finite"), ("1_0", "not a number"), ("x", "not a number")),
+        *(('"1,234.5"', "thousands"), ("1 234.5", "thousands"), ("12'34.5", "not a number")),
+    ],
 )
 def test_bad_cells(tmp_path: Path, cell: str, words: str) -> None:
     read = table(tmp_path, f"Fx,B1,B2\n1,2,3\n4,{cell},5\n")
@@ -104,3 +110,5 @@ def test_numbers() -> None:
     assert parse_number("\N{MINUS SIGN}1.5") == -1.5
     assert parse_number("1,5", decimal_comma=True) == 1.5
     assert parse_number("1.000,5", decimal_comma=True) is None
+    assert parse_number("12'345'678.5") == 12345678.5
+    assert parse_number("1\u202f000,5", decimal_comma=True) == 1000.5
