@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel, estimated_weight_widening
+from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
 from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise
 from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.untested_products import UntestedProducts
@@ -184,9 +184,7 @@ def _prediction_interval(
     S = noise.reading_covariance
     # The errors of the zero are correlated between the channels as their noise is.
     growth = np.sqrt(1.0 + zero_variance / np.diag(S))
-    redundancy = len(model.channel_names) - len(model.components)
-    widening = np.sqrt(estimated_weight_widening(float(model.dof.min()), redundancy))
-    reading_interval = widening * model.interval(computed, S * growth[:, None] * growth)
+    reading_interval = np.sqrt(model.weight_widening()) * model.interval(computed, S * growth[:, None] * growth)
     applied = np.abs(loads) > APPLIED_SHARE * model.calibrated_range
     factor = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(model.dof.min())))
     return np.asarray(np.hypot(reading_interval, factor * applied * noise.load_sigma * model.calibrated_range))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.convergence import Contraction, contraction, iterate_loads
 from balance_cli.calibration.terms import Term, term_derivatives, term_from_name, term_values
+from balance_cli.calibration.weight_covariance import weight_covariance, weight_widening
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -75,7 +76,17 @@ class CalibrationModel:
         """Weighted inverse W (k, c) of the linear part, loads in units of the calibrated range; rows: some channels."""
         k = len(self.components)
         at = np.arange(len(self.channel_names)) if rows is None else rows
-        return weighted_inverse(self.coefficients[:k, at].T, self.residual_covariance[np.ix_(at, at)])
+        return weighted_inverse(self.coefficients[:k, at].T, self.weight_covariance(at))
+
+    def weight_covariance(self, rows: NDArray[np.intp]) -> Array:
+        """Covariance (r, r) [V2] of a row by which some channels (rows) are weighted."""
+        return weight_covariance(self.residual_covariance[np.ix_(rows, rows)], float(self.dof[rows].min()))
+
+    def weight_widening(self, rows: NDArray[np.intp] | None = None) -> float:
+        """Factor on the variance of loads from some channels (rows) whose weights are estimated."""
+        at = np.arange(len(self.channel_names)) if rows is None else rows
+        S = self.residual_covariance[np.ix_(at, at)]
+        return weight_widening(S, float(self.dof[at].min()), len(at) - len(self.components))
 
     def nonlinear_matrix(self, rows: NDArray[np.intp] | None = None) -> Array:
         """Apparent loads W C2 (k, q) of the nonlinear terms, in units of the calibrated range."""
@@ -130,12 +141,12 @@ class CalibrationModel:
         """Covariance (m, k, k) of loads (m, k) [N, N m] computed from readings of covariance (c, c) [V2].
 
         By default the covariance of the readings is that of a row of the calibration. With the Jacobian J = dr/dx at
-        the loads and W = (J'S^-1 J)^-1 J'S^-1 it is W (S + x' cov(b) x) W'.
+        the loads and W = (J'U^-1 J)^-1 J'U^-1, U the `weight_covariance`, it is W (S + x' cov(b) x) W'.
         """
         at = np.arange(len(self.channel_names)) if rows is None else rows
-        S = self.residual_covariance[np.ix_(at, at)]
+        S, weighting = self.residual_covariance[np.ix_(at, at)], self.weight_covariance(at)
         noise = S if reading_covariance is None else np.asarray(reading_covariance, float)
-        W = np.stack([weighted_inverse(J, S) for J in self.jacobian(loads, rows)])
+        W = np.stack([weighted_inverse(J, weighting) for J in self.jacobian(loads, rows)])
         total = noise + self.model_covariance(loads, rows)
         covariance = W @ total @ W.swapaxes(1, 2)
         return np.asarray(covariance * self.calibrated_range[:, None] * self.calibrated_range)
@@ -166,19 +177,6 @@ def student_widening(dof: float) -> float:
         return 1.0
     at = 0.5 + 0.5 * CONFIDENCE
     return float((stats.t.ppf(at, dof) / stats.norm.ppf(at)) ** 2)
-
-
-def estimated_weight_widening(dof: float, redundancy: int) -> float:
-    """Factor on the variance of loads whose weights and noise come from one covariance with so many degrees of freedom.
-
-    With r redundant channels the weights make the least of the covariance that they were estimated from: it tells
-    (n - r)/n of the variance of the best weights, and theirs is (n - 1)/(n - r - 1) times as large (Rao, Proc. 5th
-    Berkeley Symp. 1, 1967, 355). 1 where dof is not known; the widening ends at the least n for which it is finite.
-    """
-    if not np.isfinite(dof) or redundancy <= 0:
-        return 1.0
-    n = max(dof, redundancy + 2.0)
-    return float(n * (n - 1.0) / ((n - redundancy) * (n - redundancy - 1.0)))
 
 
 def weighted_inverse(C: Array, covariance: Array) -> Array:

@@ -73,8 +73,8 @@ class UntestedProducts:
     def load_covariance(self, model: CalibrationModel, loads: ArrayLike, rows: Index | None = None) -> Array:
         """Covariance (m, k, k) of loads (m, k) [N, N m] that the model computes from some channels (rows)."""
         at = np.arange(len(model.channel_names)) if rows is None else rows
-        S = model.residual_covariance[np.ix_(at, at)]
-        W = np.stack([weighted_inverse(J, S) for J in model.jacobian(loads, at)])
+        weighting = model.weight_covariance(at)
+        W = np.stack([weighted_inverse(J, weighting) for J in model.jacobian(loads, at)])
         covariance = (W * self.reading_variance(loads)[:, None, at]) @ W.swapaxes(1, 2)
         return np.asarray(covariance * model.calibrated_range[:, None] * model.calibrated_range)
 

@@ -25,6 +25,7 @@ from balance_cli.calibration.static_matrices import (
     zeros_differ,
 )
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
+from balance_cli.calibration.weight_covariance import weight_covariance
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.campaign.rig.geometry import Geometry
@@ -200,7 +201,7 @@ def _trim_calibration(task: TrimTask, rows: TrimRows, regression: TrimRegression
     ratio = known_lack_of_fit(residual_covariance, regression.dof, noise, task.noise.dof)
     noise_covariance = noise if np.isfinite(ratio) else residual_covariance
     condition = _condition(task, rows, regression, noise_covariance)
-    T0, derivative = inverse_matrix(regression.C0, residual_covariance)
+    T0, derivative = inverse_matrix(regression.C0, weight_covariance(residual_covariance, regression.dof))
     return TrimCalibration(
         trim=task.label,
         runs=tuple(run.name for run in task.runs),

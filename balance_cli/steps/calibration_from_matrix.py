@@ -17,6 +17,7 @@ from balance_cli.calibration.matrix_text import CHANNEL, COMPONENT, RIG
 from balance_cli.calibration.noise import CalibrationNoise
 from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration, with_rated_loads
 from balance_cli.calibration.static_matrices import inverse_matrix
+from balance_cli.calibration.weight_covariance import weight_covariance
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import LoadComponents, load_components
@@ -88,7 +89,7 @@ def linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration:
     k, c = len(model.components), len(model.channel_names)
     C0 = model.coefficients[:k].T / model.calibrated_range
     S = model.residual_covariance
-    T0 = inverse_matrix(C0, S)[0]
+    T0 = inverse_matrix(C0, weight_covariance(S, float(model.dof.min())))[0]
     unit = 1.0 / np.sqrt(np.diagonal(S))
     constant = [channel.name for channel in geometry.channels if channel.measures_dc]
     return TrimCalibration(

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from balance_cli.calibration.math_model import (
     CONFIDENCE,
     CalibrationModel,
-    estimated_weight_widening,
     student_widening,
 )
 from balance_cli.calibration.result import Calibration
@@ -104,8 +103,7 @@ def point_loads(
     redundancy, limit = _redundancy(model, change, safe, noise)
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     # Estimated with few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce` do.
-    dof, redundant = float(model.model.dof[model.rows].min()), len(model.rows) - len(model.model.components)
-    covariance *= student_widening(dof) * estimated_weight_widening(dof, redundant)
+    covariance *= student_widening(float(model.model.dof[model.rows].min())) * model.model.weight_widening(model.rows)
     quantile = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)
     unknown = ~converged
     loads[unknown], covariance[unknown] = np.nan, np.nan

@@ -14,6 +14,7 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.calibration.static_matrices import inverse_matrix, inverse_sigma, standard_errors
 from balance_cli.calibration.temperature import TemperatureRows, TemperatureTerms, estimate_temperature_terms
 from balance_cli.calibration.terms import all_terms, linear_terms, term_values
+from balance_cli.calibration.weight_covariance import weight_covariance
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
 from balance_cli.campaign.recording.temperature import run_temperature
 from balance_cli.campaign.rig.geometry import Geometry
@@ -86,7 +87,7 @@ def _trim_with_errors(trim: TrimCalibration, terms: TemperatureTerms) -> TrimCal
     covariance, added = trim.C0_covariance.copy(), _of_channels(terms, trim.channel_names)
     for channel, own in enumerate(added):
         covariance[channel, :, channel, :] += own
-    _, derivative = inverse_matrix(trim.C0, trim.residual_covariance)
+    _, derivative = inverse_matrix(trim.C0, weight_covariance(trim.residual_covariance, trim.dof))
     return replace(
         trim,
         C0_covariance=covariance,

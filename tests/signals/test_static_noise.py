@@ -178,3 +178,16 @@ def test_short_ramps_up_and_down_tell_their_noise_from_repeated_loads():
         points = static_points(run_of(loads, loads / AMPLITUDE @ np.ones((6, 4)) + 0.05 * square + noise), CHANNELS)
         ratios.append(np.diag(points.covariance) / np.diag(COVARIANCE))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+
+
+def test_ramps_of_two_steps_to_both_sides_tell_the_noise():
+    """Of their only difference along a ramp nothing is left beside squares and cubes; equal loads tell the noise."""
+    rng = np.random.default_rng(5)
+    ramp = np.array([0.5, 1.0, 0.5, -0.5, -1.0, -0.5])
+    loads = np.zeros((36, 6))
+    for j in range(6):
+        loads[6 * j : 6 * j + 6, j] = ramp * AMPLITUDE[j]
+    channels = loads @ (1e-3 * rng.normal(size=(4, 6))).T + SIGMA * rng.normal(size=(36, 4))
+    points = static_points(run_of(loads, channels), CHANNELS)
+    assert np.sqrt(np.diag(points.covariance)) == pytest.approx(SIGMA, rel=0.8)
+    assert points.dof > 4

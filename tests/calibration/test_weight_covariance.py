@@ -1,0 +1,40 @@
+"""Weights of redundant channels from few rows: near the best ones, with intervals that hold what they state."""
+
+import numpy as np
+import pytest
+
+from balance_cli.calibration.math_model import weighted_inverse
+from balance_cli.calibration.weight_covariance import correlation_shrinkage, weight_covariance, weight_widening
+from balance_cli.signals import distributions as stats
+
+LOADS, CHANNELS, DRAWS = 2, 6, 300
+RNG = np.random.default_rng(31)
+COMMON = RNG.standard_normal((CHANNELS, 1))
+INDEPENDENT, CORRELATED = np.eye(CHANNELS), 0.3 * np.eye(CHANNELS) + COMMON @ COMMON.T
+
+
+def variances(true: np.ndarray, dof: int) -> np.ndarray:
+    """For each draw: variance of the first load over the least possible, and share of errors within 95 % intervals."""
+    root, rows = np.linalg.cholesky(true), []
+    for _ in range(DRAWS):
+        residuals = root @ RNG.standard_normal((CHANNELS, dof))
+        S, C = residuals @ residuals.T / dof, RNG.standard_normal((CHANNELS, LOADS))
+        W, best = (weighted_inverse(C, each) for each in (weight_covariance(S, dof), true))
+        variance, stated = (float((W @ each @ W.T)[0, 0]) for each in (true, S))
+        reach = stats.t.ppf(0.975, dof) * np.sqrt(stated * weight_widening(S, dof, CHANNELS - LOADS) / variance)
+        rows.append((variance / float((best @ true @ best.T)[0, 0]), 1.0 - 2.0 * float(stats.norm.sf(reach))))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("true", "dof"), [(INDEPENDENT, 4), (INDEPENDENT, 9), (CORRELATED, 9), (CORRELATED, 100)])
+def test_weights_from_few_rows_are_near_the_best(true, dof):
+    excess, coverage = variances(true, dof).T
+    # Weights by the covariance itself have 2 times the least variance with 9 degrees of freedom; none exist with 4.
+    assert np.median(excess) < (1.05 if dof == 100 else 1.6)
+    assert 0.93 < coverage.mean() < 0.97
+
+
+def test_correlations_that_chance_does_not_explain_are_kept():
+    assert correlation_shrinkage(CORRELATED, 1000.0) < 0.01
+    assert correlation_shrinkage(INDEPENDENT, 1e300) == 1.0
+    assert weight_covariance(CORRELATED, float("nan")) == pytest.approx(CORRELATED)
