@@ -11,8 +11,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # [s]. With the default of 5 ms, threads that alternate short numpy calls wait for each other: 10 % of `diagnose`.
 SWITCH_INTERVAL = 5e-4
 
-# Options of mallopt(3) and their values [bytes]: the largest block that it allows, and ten such blocks.
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+# Options of mallopt(3) and their values: the largest block [bytes] that it allows, ten such blocks, one heap for all
+# threads, as each heap of its own is returned whenever it is empty.
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 LARGEST_KEPT_BLOCK, LARGEST_KEPT_TOTAL = 2**25, 10 * 2**25
 
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal closed"}
@@ -60,6 +61,7 @@ def _keep_freed_memory() -> None:
         return
     mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT_BLOCK)
     mallopt(M_TRIM_THRESHOLD, LARGEST_KEPT_TOTAL)
+    mallopt(M_ARENA_MAX, 1)
 
 
 def _silence_libraries() -> None:

@@ -152,7 +152,8 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     support = {**comparison.effect_support, **tested.support}
     confirmation = score_again(confirmation, fit, batches, settings)
-    is_good = is_good_fit(confirmation, model_quality(fit.model, fit.theta, task.batches), settings)
+    known = None if error_runs else fit.minimum.data.information
+    is_good = is_good_fit(confirmation, model_quality(fit.model, fit.theta, task.batches, known), settings)
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation, is_good)
 
 
@@ -232,10 +233,17 @@ def last_round(trials: Sequence[Trial]) -> int:
     return max((trial.round for trial in trials), default=0)
 
 
-def model_quality(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> FitQuality:
-    """Return how well a model with parameters `theta` (p,) describes the lines."""
+def model_quality(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], information: Array | None = None
+) -> FitQuality:
+    """Return how well a model with parameters `theta` (p,) describes the lines.
+
+    `information`: that of the lines (f, f), where it is known.
+    """
     system = model.system(theta)
-    identifiability = parameter_identifiability(model.parameters, data_curvature(batches, system).information)
+    if information is None:
+        information = data_curvature(batches, system).information
+    identifiability = parameter_identifiability(model.parameters, information)
     return fit_quality(batches, system, identifiability.effective_parameters, frf_band(batches, model.geometry))
 
 

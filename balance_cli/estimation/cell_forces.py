@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.channel_gains import channel_gains, log_gain_derivative
 from balance_cli.model.mechanics.dual_numbers import Dual, constant
 from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System, log_frequency_ratio
-from balance_cli.model.system_response import Solution, SpringInputs, extra_forces, solve, volts_of_forces
+from balance_cli.model.system_response import Solution, SpringInputs, extra_forces, volts_of_forces
 from balance_cli.signals.waveform_types import Waveform
 
 Array = NDArray[np.float64]
@@ -77,16 +78,22 @@ class RunCellForces:
         if self.inputs is not None:
             total += self._at_lines(output_jacobian(system, self.solution, self.index, loads, self.inputs))
         acting, read = volts_of_forces(system, self.solution)
+        volts_per_force: dict[tuple[int, bool], ComplexArray] = {}  # a score test has many forces along each spring
         for force in self.derivatives:
-            volts = acting[:, :, force.spring] + (read[:, :, force.spring] if force.read else 0.0)
+            place = (force.spring, force.read)
+            if place not in volts_per_force:
+                volts = acting[:, :, force.spring] + (read[:, :, force.spring] if force.read else 0.0)
+                volts_per_force[place] = volts[self.index]
             for i, column in enumerate(force.columns):
-                total[:, :, column] += self._at_lines(volts[self.index] * force.derivative[:, i, None])
+                total[:, :, column] += self._at_lines(volts_per_force[place] * force.derivative[:, i, None])
 
     def _at_lines(self, values: ComplexArray) -> ComplexArray:
         return self.waveform.combine_bins(values)
 
 
-def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: bool) -> tuple[RunCellForces, ...]:
+def cell_forces(
+    batch: Batch, system: System, solution: Solution, derivatives: bool, shared: SharedSolutions
+) -> tuple[RunCellForces, ...]:
     """Compute the nonlinear forces in every run of a batch, at the bins of its waveform.
 
     Raises LinAlgError where the stiffness of a cell would become negative, or its reading explain itself.
@@ -97,7 +104,7 @@ def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: b
         if waveform is None or not system.equations.forces:
             continue
         if waveform.lines_are_bin_sums:
-            at_bins = solve(system, waveform.bin_frequency(), batch.spin)
+            at_bins = shared.solution(waveform.bin_frequency(), batch.spin)
             index = np.arange(len(at_bins.frequency))
             runs.append(_run_cell_forces(lines, waveform, system, at_bins, index, derivatives))
         else:

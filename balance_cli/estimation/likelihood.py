@@ -89,9 +89,13 @@ def evaluate_batch(
 
     With `derivatives` the nonlinear forces and the transients come with theirs. `shared`: with other runs.
     """
+    shared = SharedSolutions(system) if shared is None else shared
     columns = recorded_load_columns(batch, system, solution)
     distortions = channel_distortions(batch, system, derivatives)
-    nonlinear: list[RunCellForces | RunDistortions] = [*cell_forces(batch, system, solution, derivatives), *distortions]
+    nonlinear: list[RunCellForces | RunDistortions] = [
+        *cell_forces(batch, system, solution, derivatives, shared),
+        *distortions,
+    ]
     loads = _subtract_load_offset(batch, system)
     residual = batch.lines.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
     if np.any(system.equations.channel_offset.value):
@@ -103,7 +107,6 @@ def evaluate_batch(
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
         return np.asarray(np.matmul(precision[lines], values), complex)
 
-    shared = SharedSolutions(system) if shared is None else shared
     transients = fit_transients(batch, shared, residual, apply_weight, derivatives)
     tones: tuple[MainsTone, ...] = ()
     if system.equations.interference_tones:

@@ -64,8 +64,11 @@ def find_effect(name: str) -> Effect:
 def place_effect(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
     """The effect of this name at this place. Raises UserError where there is no such effect or place."""
     effect = find_effect(name)
-    at = _resolve_place(effect, tuple(where), geometry)
-    return PlacedEffect(effect, at, effect.parameters(geometry, at), {})
+    return _at_place(effect, _resolve_place(effect, tuple(where), effect.places(geometry)), geometry)
+
+
+def _at_place(effect: Effect, where: Where, geometry: Geometry) -> PlacedEffect:
+    return PlacedEffect(effect, where, effect.parameters(geometry, where), {})
 
 
 def declare_effect(placed_effect: PlacedEffect, fitted: Mapping[str, float]) -> DeclaredEffect:
@@ -75,9 +78,8 @@ def declare_effect(placed_effect: PlacedEffect, fitted: Mapping[str, float]) -> 
     return DeclaredEffect(name=placed_effect.effect.name, where=placed_effect.where, parameters=finite)
 
 
-def _resolve_place(effect: Effect, where: Where, geometry: Geometry) -> Where:
+def _resolve_place(effect: Effect, where: Where, places: Sequence[Where]) -> Where:
     """The place as the effect names it; the order of the names matters only where the effect has both orders."""
-    places = effect.places(geometry)
     if where in places:
         return where
     if effect.choice and (*where, effect.choice.words[0]) in places:
@@ -110,7 +112,8 @@ def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
 
     Raises UserError for one that is unknown, has no such place or parameter, or is declared twice.
     """
-    placed = [_place_declared_effect(item, geometry, i) for i, item in enumerate(geometry.effects)]
+    places: dict[str, Sequence[Where]] = {}  # those of crosstalk are hundreds, and a score test declares all of them
+    placed = [_place_declared_effect(item, geometry, i, places) for i, item in enumerate(geometry.effects)]
     labels = [placed_effect.label for placed_effect in placed]
     for i, label in enumerate(labels):
         if label in labels[:i]:
@@ -119,10 +122,17 @@ def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
     return tuple(sorted(placed, key=lambda item: (order.index(item.effect.name), item.where)))
 
 
-def _place_declared_effect(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEffect:
+def _place_declared_effect(
+    item: DeclaredEffect, geometry: Geometry, index: int, places: dict[str, Sequence[Where]]
+) -> PlacedEffect:
+    """The effect of an item at its place; `places` holds those of the effects so far, by name."""
     place = f"effects[{index}]"
     try:
-        placed_effect = place_effect(item.name, _where_with_choice(item), geometry)
+        effect = find_effect(item.name)
+        if item.name not in places:
+            places[item.name] = effect.places(geometry)
+        where = _resolve_place(effect, _where_with_choice(item), places[item.name])
+        placed_effect = _at_place(effect, where, geometry)
     except UserError as error:
         raise UserError(error.fault, error.file, place, error.remedy) from error
     names = tuple(parameter.name for parameter in placed_effect.parameters)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -19,8 +24,13 @@ OVERSAMPLING = 4
 
 def hann_mean(values: Array) -> Array:
     """Mean (...) of values (n, ...) with the weights of a Hann window."""
-    n = len(values)
-    return np.asarray(np.tensordot((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n, values, axes=1))
+    return np.asarray(np.tensordot(_hann_weights(len(values)), values, axes=1))
+
+
+@lru_cache(maxsize=2)
+def _hann_weights(n: int) -> Array:
+    """The window (n,) over its sum; records of one campaign are of one length or two."""
+    return np.asarray((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +148,14 @@ class RecordWaveform(SampledWaveform):
 
     def combine_bins(self, values: ComplexArray) -> ComplexArray:
         """Values (R, ...) at the bins as lines (K, ...)."""
+        rows = self._sums_of_bins
+        return np.asarray(rows @ values.reshape(len(values), -1)).reshape(rows.shape[0], *values.shape[1:])
+
+    @cached_property
+    def _sums_of_bins(self) -> csr_array:
+        """The matrix (K, R) from bins to lines."""
         from scipy.sparse import csr_array
 
         K, M = self.weight.shape
         neighbors = (self.first[:, None] + np.arange(M)).ravel()
-        rows = csr_array((self.weight.ravel(), neighbors, np.arange(K + 1) * M), (K, len(values)))
-        return np.asarray(rows @ values.reshape(len(values), -1)).reshape(K, *values.shape[1:])
+        return csr_array((self.weight.ravel(), neighbors, np.arange(K + 1) * M), (K, len(self.bin_index)))

@@ -52,6 +52,8 @@ def _lost_reading(v: Array, values: Dual) -> Dual:
 
 def _loss_series(x: Array) -> Array:
     """h(x) (n,) = 1/3 + x/5 + x^2/7 + ..., for x >= 0."""
+    if not x.any():  # the null, at which every channel is scored
+        return np.full(x.shape, 1.0 / 3.0)
     series = sum(x**k / (2 * k + 3) for k in range(6))
     root = np.sqrt(np.maximum(x, SERIES_LIMIT))
     return np.asarray(np.where(x < SERIES_LIMIT, series, (np.arctanh(root) / root - 1.0) / root**2))
@@ -59,6 +61,8 @@ def _loss_series(x: Array) -> Array:
 
 def _loss_series_slope(x: Array) -> Array:
     """Derivative of h (n,)."""
+    if not x.any():
+        return np.full(x.shape, 1.0 / 5.0)
     series = sum(k * x ** (k - 1) / (2 * k + 3) for k in range(1, 7))
     safe = np.maximum(x, SERIES_LIMIT)
     # x h + 1 = artanh(sqrt x) / sqrt x, whose derivative is (1 / (1 - x) - artanh(sqrt x) / sqrt x) / (2 x).
