@@ -25,7 +25,8 @@ def correlation_shrinkage(covariance: Array, dof: float) -> float:
     others = (covariance / sigma[:, None] / sigma)[~np.eye(len(covariance), dtype=bool)]
     by_chance = float(np.sum((1.0 - np.minimum(others**2, 1.0)) ** 2)) / dof
     squares = float(np.sum(others**2))
-    return by_chance / squares if by_chance < squares else 1.0
+    # Few rows make correlations of 1, whose variance seems to be 0: of a single one nothing is known.
+    return max(by_chance / squares, min(1.0, 1.0 / dof)) if by_chance < squares else 1.0
 
 
 def weight_covariance(covariance: Array, dof: float) -> Array:

@@ -37,4 +37,5 @@ def test_weights_from_few_rows_are_near_the_best(true, dof):
 def test_correlations_that_chance_does_not_explain_are_kept():
     assert correlation_shrinkage(CORRELATED, 1000.0) < 0.01
     assert correlation_shrinkage(INDEPENDENT, 1e300) == 1.0
+    assert correlation_shrinkage(COMMON @ COMMON.T, 1.0) == 1.0
     assert weight_covariance(CORRELATED, float("nan")) == pytest.approx(CORRELATED)
