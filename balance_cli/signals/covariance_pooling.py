@@ -107,14 +107,25 @@ def pooled_covariance(
     return knots[nearest], dof
 
 
+def invert_pooled(covariance: ComplexArray) -> ComplexArray:
+    """Return the inverses (K, n, n) of covariances at neighboring lines, each computed once where several are equal."""
+    changed = np.ones(len(covariance), bool)
+    changed[1:] = np.any(covariance[1:] != covariance[:-1], axis=(1, 2))
+    return np.asarray(np.linalg.inv(covariance[changed])[np.cumsum(changed) - 1], complex)
+
+
 def mahalanobis_distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
     """Return the Mahalanobis distance per degree of freedom (K,) of the scatter (K, n, n), of mean 1 for noise."""
-    return _distances_from_inverse(scatter, np.asarray(np.linalg.inv(covariance), complex), counts, dof)
+    return _distances_from_inverse(scatter, invert_pooled(covariance), counts, dof)
 
 
 def _distances_from_inverse(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof: float) -> Array:
     n = scatter.shape[1]
-    trace = np.einsum("kij,kji->k", inverse, scatter).real
+    # Both are Hermitian: the trace of their product is the sum of products of their real and imaginary parts.
+    first, second = (
+        np.ascontiguousarray(item, complex).reshape(len(item), n * n).view(np.float64) for item in (inverse, scatter)
+    )
+    trace = np.einsum("ka,ka->k", first, second)
     return np.asarray(
         np.maximum(trace / (n * np.maximum(counts, 1e-12)) * inverse_bias_factor(max(dof, n + 1), n), 1e-300), float
     )
@@ -123,7 +134,7 @@ def _distances_from_inverse(scatter: ComplexArray, inverse: ComplexArray, counts
 def vector_mahalanobis_distances(vectors: ComplexArray, covariance: ComplexArray, dof: float) -> Array:
     """Return the Mahalanobis distance per degree of freedom (..., K) of vectors (..., K, n), of mean 1 for noise."""
     n = vectors.shape[-1]
-    weighted = np.matmul(np.linalg.inv(covariance), vectors[..., None])[..., 0]
+    weighted = np.matmul(invert_pooled(covariance), vectors[..., None])[..., 0]
     squared = np.sum(vectors.conj() * weighted, axis=-1).real
     return np.asarray(squared / n * inverse_bias_factor(max(dof, n + 1), n), float)
 

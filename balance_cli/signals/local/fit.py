@@ -195,15 +195,17 @@ def _gram_matrices(X: ComplexArray) -> ComplexArray:
 def _refine_denominator(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
     """Refine the denominator by damped Gauss-Newton steps (Levenberg-Marquardt) until no window improves."""
     fit = _linear_fit(problem, a)
-    damping = np.full(len(a), 1e-6)
+    cost, damping = fit.cost, np.full(len(a), 1e-6)
     active = np.arange(len(a))
     for _ in range(REFINEMENT_ITERATIONS):
         active_problem, before = problem.subset(active), fit.subset(active)
         denominator = before.denominator + _marquardt_step(active_problem, before, damping[active])
         after = _linear_fit(active_problem, denominator / np.linalg.norm(denominator, axis=1, keepdims=True))
-        better = after.cost < before.cost
-        gain = 1.0 - after.cost / np.maximum(before.cost, 1e-300)
+        reached = after.cost
+        better = reached < cost[active]
+        gain = 1.0 - reached / np.maximum(cost[active], 1e-300)
         _overwrite_windows(fit, active[better], after.subset(np.flatnonzero(better)))
+        cost[active[better]] = reached[better]
         damping[active] = np.where(better, damping[active] / 10.0, damping[active] * 30.0)
         active = active[np.where(better, gain > LEAST_COST_REDUCTION, damping[active] < LARGEST_MARQUARDT_DAMPING)]
         if not active.size:

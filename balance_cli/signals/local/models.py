@@ -105,11 +105,8 @@ def fit_local_models(spectrum: ScaledSpectrum, estimator: str = "lrm") -> LocalM
     level = draft.noise.relative_variance(draft.response)
     windows = replace(windows, weight=1.0 / np.sqrt(level[index]))
     # The noise of the loads is common to all channels. Without whitening it would be fitted by a pole.
-    whitening = [
-        whitening_matrices(draft.noise.equation_error_covariance(draft.response, slice(start, start + M)))
-        for start in first
-    ]
-    fits = best_fits(windows, candidates, whitening)
+    white = whitening_matrices(draft.noise.equation_error_covariance(draft.response))
+    fits = best_fits(windows, candidates, [white[start : start + M] for start in first])
     models = _assemble_models(spectrum, first, assigned_lines, fits, level, tones)
     return _with_window_noise(models, M)
 

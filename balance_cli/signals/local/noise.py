@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.covariance_pooling import pooled_covariance
+from balance_cli.signals.covariance_pooling import invert_pooled, pooled_covariance
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,6 +32,14 @@ LOAD_CONVERGENCE, CHANNEL_CONVERGENCE = 0.02, 0.01
 
 
 @dataclass(frozen=True)
+class WeightedResponse:
+    """C^-1 G (K, c, u) for the noise C of the channels, and `information` (K, u, u), G* C^-1 G."""
+
+    response: ComplexArray
+    information: ComplexArray
+
+
+@dataclass(frozen=True)
 class NoiseCovariances:
     """Noise covariance of `channels` (K, c, c) at K lines, with its complex degrees of freedom; of `loads` (u, u)."""
 
@@ -46,8 +54,17 @@ class NoiseCovariances:
 
     def relative_variance(self, response: ComplexArray) -> Array:
         """Return the mean variance (K,) of `Y - G U` over that of the channels: 1 where the loads add no noise."""
-        added = np.linalg.solve(self.channels, response @ self.loads @ response.conj().swapaxes(1, 2))
-        return np.asarray(1.0 + np.trace(added, axis1=1, axis2=2).real / self.channels.shape[1])
+        return self.relative_variance_of(self.weigh(response))
+
+    def relative_variance_of(self, weighted: WeightedResponse) -> Array:
+        """Return the same for a response that is weighted already."""
+        added = np.trace(self.loads @ weighted.information, axis1=1, axis2=2).real
+        return np.asarray(1.0 + added / self.channels.shape[1])
+
+    def weigh(self, response: ComplexArray) -> WeightedResponse:
+        """Return a response (K, c, u) weighted by the inverse covariance of the channels."""
+        weighted = invert_pooled(self.channels) @ response
+        return WeightedResponse(weighted, response.conj().swapaxes(1, 2) @ weighted)
 
 
 def estimate_noise_covariances(
@@ -62,9 +79,9 @@ def estimate_noise_covariances(
     scaled = residual / np.sqrt(counts)[:, None]
     noise = _initial_covariances(scaled, response, counts, least_dof)
     for _ in range(EM_ITERATIONS):
-        previous = noise
-        noise = replace(noise, loads=_update_load_noise(scaled, response, noise))
-        noise = _update_channel_noise(scaled, response, noise, counts, least_dof)
+        previous, weighted = noise, noise.weigh(response)
+        noise = replace(noise, loads=_update_load_noise(scaled, weighted, noise))
+        noise = _update_channel_noise(scaled, response, weighted, noise, counts, least_dof)
         if _has_converged(noise, previous):
             break
     return noise
@@ -84,7 +101,12 @@ def _initial_covariances(
 
 
 def _update_channel_noise(
-    residual: ComplexArray, response: ComplexArray, noise: NoiseCovariances, counts: Array, least_dof: float
+    residual: ComplexArray,
+    response: ComplexArray,
+    weighted: WeightedResponse,
+    noise: NoiseCovariances,
+    counts: Array,
+    least_dof: float,
 ) -> NoiseCovariances:
     """Update the covariance of the channels by a step of expectation-maximization.
 
@@ -93,8 +115,8 @@ def _update_channel_noise(
     """
     if not np.any(noise.loads):
         return noise
-    weight = counts / noise.relative_variance(response) ** 2
-    explained, posterior = _conditional_load_noise(residual, response, noise)
+    weight = counts / noise.relative_variance_of(weighted) ** 2
+    explained, posterior = _conditional_load_noise(residual, weighted, noise)
     channel_residual = residual + np.matmul(response, explained[:, :, None])[:, :, 0]
     scatter = _outer_products(channel_residual) + response @ posterior @ response.conj().swapaxes(1, 2)
     channels, dof = pooled_covariance(scatter * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE)
@@ -114,21 +136,25 @@ def _outer_products(vectors: ComplexArray) -> ComplexArray:
 
 
 def _conditional_load_noise(
-    residual: ComplexArray, response: ComplexArray, noise: NoiseCovariances
+    residual: ComplexArray, weighted: WeightedResponse, noise: NoiseCovariances
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Mean (K, u) and covariance (K, u, u) of the noise of the loads, given the residuals."""
-    gain = noise.loads @ np.linalg.solve(noise.equation_error_covariance(response), response).conj().swapaxes(1, 2)
+    """Mean (K, u) and covariance (K, u, u) of the noise L of the loads, given the residuals.
+
+    The gain is L G* (C + G L G*)^-1 = (1 + L G* C^-1 G)^-1 L G* C^-1 (Woodbury).
+    """
+    loads, information = noise.loads, weighted.information
+    gain = np.linalg.solve(np.eye(len(loads)) + loads @ information, loads @ weighted.response.conj().swapaxes(1, 2))
     mean = -np.matmul(gain, residual[:, :, None])[:, :, 0]
-    return mean, np.asarray(noise.loads - gain @ response @ noise.loads)
+    posterior = np.linalg.solve(np.eye(len(loads)) + loads @ information, np.broadcast_to(loads, information.shape))
+    return mean, np.asarray(posterior)
 
 
-def _update_load_noise(residual: ComplexArray, response: ComplexArray, noise: NoiseCovariances) -> ComplexArray:
+def _update_load_noise(residual: ComplexArray, weighted: WeightedResponse, noise: NoiseCovariances) -> ComplexArray:
     """Update the load covariance by a scoring step from the best linear estimate of their noise at each line."""
-    weighted = np.linalg.solve(noise.channels, response)
-    information = response.conj().swapaxes(1, 2) @ weighted
+    information = weighted.information
     ridge = np.trace(information, axis1=1, axis2=2).real[:, None, None] * 1e-9 + 1e-300
     error_covariance = np.linalg.inv(information + ridge * np.eye(len(noise.loads)))
-    estimate = -np.matmul(error_covariance @ weighted.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
+    estimate = -np.matmul(error_covariance @ weighted.response.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
     # Every exciter has its own force cell, so that the noises of the loads are independent of each other.
     error_variance = np.diagonal(error_covariance, axis1=1, axis2=2).real
     weight = (error_variance + np.diag(noise.loads).real) ** -2.0
