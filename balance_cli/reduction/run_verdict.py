@@ -32,7 +32,7 @@ MEANINGS = {
     NOT_STEADY: "loads step or drift within the record",
     UNMODELLED_LINE: "the channels have a line beside the reduced harmonics, and a note says whether it reaches them",
     FILTER_CONTRADICTED: "the innovations contradict the filter",
-    MODEL_CONTRADICTED: "the response misses its own data by more than a tenth of the load",
+    MODEL_CONTRADICTED: "the response misses its own data, or known loads, by more than a tenth of the load",
 }
 
 

@@ -14,6 +14,7 @@ from balance_cli.diagnosis.consistency.campaign import campaign_findings
 from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, ConsistencyFinding
 from balance_cli.diagnosis.consistency.severity import ConsequenceRule, contradicts_loads, findings_for_command
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.check_contradiction import flag_by_check_runs
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
@@ -119,14 +120,16 @@ def flag_contradicted_runs(
 def compare_loads(
     runs: Mapping[str, RunLoads], calibration: Calibration | None, is_shard: bool = False
 ) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
-    """Compare the loads of wind runs with each other and with the trims; return them flagged, and the warnings.
+    """Compare the loads of wind runs with each other and with the trims, and those of check runs with the known ones.
 
-    Those of a shard are compared with each other when the shards are merged.
+    Return them flagged, and the warnings. Wind runs of a shard are compared when the shards are merged.
     """
     opposite = tuple(opposite_means(runs.values(), calibration))
     comparisons = () if is_shard else compare_wind_runs(runs)
     flagged = flag_turned_runs(flag_opposite_means(runs, opposite), comparisons)
-    return flagged, (*(item.warning for item in opposite), *turn_warnings(comparisons))
+    flagged, contradictions = flag_by_check_runs(flagged)
+    sentences = (item.sentence for item in contradictions)
+    return flagged, (*(item.warning for item in opposite), *turn_warnings(comparisons), *sentences)
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:

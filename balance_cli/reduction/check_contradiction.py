@@ -1,0 +1,105 @@
+"""Check runs whose known loads contradict the response: their loads are flagged, and those of wind runs beside them.
+
+A balance without redundant channels has no other test of its dynamics with the rotor turning. Gyroscopic moments of a
+rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of 0.003 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.reduction.check_errors import HARMONICS_COMPARED
+from balance_cli.reduction.flags import MODEL_CONTRADICTED, join_flags
+from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trust import MODEL_ERROR_SHARE
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ROW_ERROR_SHARE = 0.02
+"""Of the known load: error of a harmonic of a check run that matters. Force cells of exciters are not known better."""
+SIGNIFICANT = 5.0
+"""Error of a known load over its standard deviation from which it contradicts: no load of a sound campaign has it."""
+
+
+@dataclass(frozen=True)
+class CheckContradiction:
+    """What the known loads of a check run contradict: `components` as a whole, with their relative errors."""
+
+    run: str
+    components: dict[str, float]
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        errors = ", ".join(f"{name} by {100.0 * error:.3g} %" for name, error in self.components.items())
+        return f"reduced loads differ from the known loads of {self.run}, {errors}: the response lacks something there"
+
+
+def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[CheckContradiction, ...]]:
+    """Return the loads with those flagged that check runs among them contradict, and what these contradict.
+
+    In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
+    deviations. Where a component as a whole differs by more than a tenth, all its harmonics in all runs are flagged.
+    """
+    checked = {name: loads for name, loads in runs.items() if loads.check is not None}
+    wrong = {name: _contradicted_rows(loads) for name, loads in checked.items()}
+    found = tuple(
+        CheckContradiction(name, components) for name in checked if (components := contradicted_components(runs[name]))
+    )
+    if not found and not any(rows.any() for rows in wrong.values()):
+        return runs, ()
+    whole = {component for item in found for component in item.components}
+    sentences = tuple(item.sentence for item in found)
+    flagged = {}
+    for name, loads in runs.items():
+        rows = wrong.get(name, np.zeros(loads.amplitude.shape, bool)).copy()
+        rows[1:] |= [component in whole for component in loads.components]
+        flagged[name] = replace(_flag_rows(loads, rows), notes=(*loads.notes, *sentences)) if rows.any() else loads
+    return flagged, found
+
+
+def contradicted_components(loads: RunLoads) -> dict[str, float]:
+    """Return the relative error of each applied component of a check run that its known loads contradict."""
+    if loads.check is None:
+        return {}
+    last = min(HARMONICS_COMPARED, len(loads.amplitude) - 1)
+    deviation = np.sqrt(np.mean(_variance(loads)[1 : last + 1], axis=0))
+    size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : last + 1]) ** 2, axis=0))
+    wrong = {}
+    for name, error in loads.check.load_error.items():
+        m = loads.components.index(name)
+        if error > MODEL_ERROR_SHARE and error * size[m] > SIGNIFICANT * deviation[m]:
+            wrong[name] = error
+    return wrong
+
+
+def _contradicted_rows(loads: RunLoads) -> Mask:
+    """Return which rows (n+1, m) of a check run differ from their known loads; not the mean, which rests on statics."""
+    assert loads.check is not None
+    applied = loads.check.applied
+    known = np.array([name in loads.check.load_error for name in loads.components])
+    error = np.abs(loads.amplitude - applied)
+    wrong = (error > ROW_ERROR_SHARE * np.abs(applied)) & (error > SIGNIFICANT * np.sqrt(_variance(loads))) & known
+    wrong[0] = False
+    return np.asarray(wrong)
+
+
+def _variance(loads: RunLoads) -> Array:
+    """Return the variance (n+1, m) of reduced less known loads: that of the first, and the noise of the record."""
+    assert loads.check is not None
+    size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : HARMONICS_COMPARED + 1]) ** 2, axis=0))
+    noise = np.array([loads.check.load_noise.get(name, 0.0) for name in loads.components]) * size
+    return np.asarray(loads.sigma_cosine**2 + loads.sigma_sine**2 + noise**2)
+
+
+def _flag_rows(loads: RunLoads, rows: Mask) -> RunLoads:
+    flags = tuple(
+        tuple(join_flags((word, MODEL_CONTRADICTED)) if is_wrong else word for word, is_wrong in zip(*row, strict=True))
+        for row in zip(loads.flags, rows, strict=True)
+    )
+    return replace(loads, flags=flags)

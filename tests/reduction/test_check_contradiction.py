@@ -1,0 +1,68 @@
+"""Known loads of a check run contradict the response, for the wind runs of the same call, too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.reduction.check_contradiction import contradicted_components, flag_by_check_runs
+from balance_cli.reduction.model_sources import model_source
+from balance_cli.steps.reduce import reduce_run
+
+
+@pytest.fixture(scope="module")
+def loads(campaign, calibration, identified):
+    source = model_source(identified)
+    runs = [campaign.runs_of_kind(kind)[0] for kind in ("check", "wind")]
+    return {run.name: reduce_run(run, campaign.geometry, calibration, source) for run in runs}
+
+
+def _with_error(loads, component, share, harmonics):
+    """The check run with an error of one component at some harmonics, as a share of the known load."""
+    check = next(iter(loads.values()))
+    m = check.components.index(component)
+    amplitude = check.amplitude.copy()
+    amplitude[harmonics, m] = (1.0 + share) * check.check.applied[harmonics, m]
+    error, size = amplitude[1:9, m] - check.check.applied[1:9, m], check.check.applied[1:9, m]
+    relative = float(np.linalg.norm(error) / np.linalg.norm(size))
+    wrong = replace(
+        check,
+        amplitude=amplitude,
+        check=replace(check.check, load_error={**check.check.load_error, component: relative}),
+    )
+    return {**loads, check.run: wrong}
+
+
+def _flagged(loads):
+    return {
+        (run.kind, component)
+        for run in loads.values()
+        for row in run.flags
+        for component, flag in zip(run.components, row, strict=True)
+        if "model contradicted" in flag
+    }
+
+
+def test_sound_runs_stay_as_they_are(loads):
+    assert flag_by_check_runs(loads) == (loads, ())
+
+
+def test_a_component_that_is_wrong_is_flagged_in_all_runs(loads):
+    flagged, found = flag_by_check_runs(_with_error(loads, "Fz", 0.3, slice(1, None)))
+    assert _flagged(flagged) == {("check", "Fz"), ("wind", "Fz")}
+    assert found[0].components["Fz"] == pytest.approx(0.3, abs=0.01)
+    assert all("Fz by 30 %" in run.notes[-1] for run in flagged.values())
+    assert not any("contradicted" in flag for run in flagged.values() for flag in run.flags[0])
+
+
+def test_a_single_harmonic_is_flagged_in_the_check_run_alone(loads):
+    flagged, found = flag_by_check_runs(_with_error(loads, "Fz", 0.05, slice(4, 5)))
+    assert (_flagged(flagged), found) == ({("check", "Fz")}, ())
+    (check, _) = flagged.values()
+    assert [h for h, row in enumerate(check.flags) if any("contradicted" in flag for flag in row)] == [4]
+
+
+def test_an_error_within_sigma_contradicts_nothing(loads):
+    wrong = next(iter(_with_error(loads, "Fz", 0.3, slice(1, None)).values()))
+    wide = replace(wrong, sigma_cosine=wrong.sigma_cosine + 1e3)
+    assert contradicted_components(wrong) and not contradicted_components(wide)
