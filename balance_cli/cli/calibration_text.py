@@ -92,12 +92,13 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
         yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
     else:
         yield "  residual over noise not known: the rows do not tell their noise; sigma rests on the residual"
-    yield "  component  cal. range   residual % FS   hysteresis % FS"
+    full_scale_words = "calibrated range" if trim.rated_load is None else "rated load, where one is declared"
+    yield f"  component  cal. range  full scale   residual % FS   hysteresis % FS   (full scale: {full_scale_words})"
     for j, name in enumerate(trim.components):
         full, scale = trim.calibrated_range[j], trim.full_scale[j]
         loop, sigma = 100 * trim.hysteresis.loads[j] / scale, 100 * trim.hysteresis.loads_sigma[j] / scale
         width = f"{loop:9.4f} +- {sigma:.4f}" if np.isfinite(sigma) else "not known"
-        yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {width}"
+        yield f"  {name:9s} {full:11.5g} {scale:11.5g} {trim.residual_percent_fs[name]:15.4f}   {width}"
 
 
 def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iterator[str]:
