@@ -164,7 +164,11 @@ def line_powers(
         if deadline.is_over:
             return {}
         assert isinstance(item.plan, SweepPlan)
-        spectra = rehearse(item.plan, signals, base.noise, options.seed)
+        try:
+            spectra = rehearse(item.plan, signals, base.noise, options.seed)
+        except UserError as error:
+            fault = f"a sweep of {item.plan.excited[0]} with {item.plan.level[0]:.3g} rms gives no usable lines"
+            raise UserError(fault, place="exciters", remedy="Give larger levels, or longer periods") from error
         parts = (information_rows(part, base.model) for part in band_information(spectra, base.model, edges))
         limit = next(each for each in base.limits if each.component == item.plan.excited[0])
         share = limit_spectra(limit.component, geometry, shown, limit)
