@@ -72,20 +72,26 @@ def require_same_geometry(geometry: Geometry, calibration: Calibration, file: st
 def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord | None:
     """Return the wind-off record that mean loads count from, None without one.
 
-    Raises UserError for several runs, and for a run of another kind.
+    Raises UserError for several runs, for a run of another kind, and where no channel of the mean loads can be used.
     """
     if len(zeros) > 1:
         names = ", ".join(run.name for run in zeros)
         raise UserError(f"more than one zero run: {names}", "RUN...", remedy="Choose one with --zero")
     if not zeros:
         return None
-    run = zeros[0]
+    run, place = zeros[0], str(zeros[0].path or zeros[0].name)
     if run.kind != "zero":
-        place = str(run.path or run.name)
         raise UserError(f"is a {run.kind} run", place, "attribute `kind`", "Give a wind-off record of kind `zero`")
-    live = live_channels(run, calibration.geometry).live
+    health = live_channels(run, calibration.geometry)
     dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
-    return zero_record(run, [name for name in dc_channels if name in live])
+    live = [name for name in dc_channels if name in health.live]
+    if dc_channels and not live:
+        # A wind-off record whose noise is below one step of the converter: the zero may be half a step off, unknown.
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items() if name in dc_channels)
+        fault = f"no strain or torque channel can be used ({reasons})"
+        remedy = "Leave the run out: mean loads then count from the zero of the calibration"
+        raise UserError(fault, place, "channels", remedy)
+    return zero_record(run, live)
 
 
 def loads_with_filter_tests(time_reduction: TimeReduction, options: TimeOptions) -> RunLoads:
