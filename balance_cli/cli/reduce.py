@@ -180,7 +180,7 @@ def _reduce_to_spectra(
 
 
 def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads], output: Path, is_shard: bool) -> None:
-    """Write the loads and set summary and text; `balance merge` compares the wind runs of shards with each other."""
+    """Write the loads and set summary and text; `balance merge` compares the runs of shards with each other."""
     from balance_cli.cli.consistency import flag_contradicted_runs
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.response_description import text_with_rotor

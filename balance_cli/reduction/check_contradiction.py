@@ -6,7 +6,7 @@ rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,21 +46,37 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
     deviations. Where a component as a whole differs by more than a tenth, all its harmonics in all runs are flagged.
     """
-    checked = {name: loads for name, loads in runs.items() if loads.check is not None}
-    wrong = {name: _contradicted_rows(loads) for name, loads in checked.items()}
-    found = tuple(
-        CheckContradiction(name, components) for name in checked if (components := contradicted_components(runs[name]))
-    )
-    if not found and not any(rows.any() for rows in wrong.values()):
-        return runs, ()
-    whole = {component for item in found for component in item.components}
-    sentences = tuple(item.sentence for item in found)
-    flagged = {}
+    found, with_wrong_rows = list[CheckContradiction](), False
     for name, loads in runs.items():
-        rows = wrong.get(name, np.zeros(loads.amplitude.shape, bool)).copy()
+        if loads.check is None:
+            continue
+        with_wrong_rows |= bool(_contradicted_rows(loads).any())
+        if components := contradicted_components(loads):
+            found.append(CheckContradiction(name, components))
+    contradictions = tuple(found)
+    return (_FlaggedRuns(runs, contradictions) if found or with_wrong_rows else runs), contradictions
+
+
+@dataclass(frozen=True, eq=False)
+class _FlaggedRuns(Mapping[str, RunLoads]):
+    """The loads of runs, each flagged when it is asked for: a batch has more of them than fit in memory."""
+
+    runs: Mapping[str, RunLoads]
+    contradictions: tuple[CheckContradiction, ...]
+
+    def __getitem__(self, name: str) -> RunLoads:
+        loads = self.runs[name]
+        whole = {component for item in self.contradictions for component in item.components}
+        rows = _contradicted_rows(loads)
         rows[1:] |= [component in whole for component in loads.components]
-        flagged[name] = replace(_flag_rows(loads, rows), notes=(*loads.notes, *sentences)) if rows.any() else loads
-    return flagged, found
+        sentences = (item.sentence for item in self.contradictions)
+        return replace(_flag_rows(loads, rows), notes=(*loads.notes, *sentences)) if rows.any() else loads
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.runs)
+
+    def __len__(self) -> int:
+        return len(self.runs)
 
 
 def contradicted_components(loads: RunLoads) -> dict[str, float]:
@@ -80,7 +96,8 @@ def contradicted_components(loads: RunLoads) -> dict[str, float]:
 
 def _contradicted_rows(loads: RunLoads) -> Mask:
     """Return which rows (n+1, m) of a check run differ from their known loads; not the mean, which rests on statics."""
-    assert loads.check is not None
+    if loads.check is None:
+        return np.zeros(loads.amplitude.shape, bool)
     applied = loads.check.applied
     known = np.array([name in loads.check.load_error for name in loads.components])
     error = np.abs(loads.amplitude - applied)

@@ -122,14 +122,21 @@ def compare_loads(
 ) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
     """Compare the loads of wind runs with each other and with the trims, and those of check runs with the known ones.
 
-    Return them flagged, and the warnings. Wind runs of a shard are compared when the shards are merged.
+    Return them flagged, and the warnings. Runs of a shard are compared with others when the shards are merged.
     """
     opposite = tuple(opposite_means(runs.values(), calibration))
-    comparisons = () if is_shard else compare_wind_runs(runs)
-    flagged = flag_turned_runs(flag_opposite_means(runs, opposite), comparisons)
-    flagged, contradictions = flag_by_check_runs(flagged)
-    sentences = (item.sentence for item in contradictions)
-    return flagged, (*(item.warning for item in opposite), *turn_warnings(comparisons), *sentences)
+    flagged, warnings = flag_opposite_means(runs, opposite), tuple(item.warning for item in opposite)
+    if is_shard:
+        return flagged, warnings
+    flagged, compared = compare_with_other_runs(flagged)
+    return flagged, (*warnings, *compared)
+
+
+def compare_with_other_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
+    """Return the loads flagged by what wind runs say of each other, and check runs of all; and the warnings."""
+    comparisons = compare_wind_runs(runs)
+    flagged, contradictions = flag_by_check_runs(flag_turned_runs(runs, comparisons))
+    return flagged, (*turn_warnings(comparisons), *(item.sentence for item in contradictions))
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:

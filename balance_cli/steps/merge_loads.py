@@ -12,7 +12,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.stored_mapping import StoredMapping
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
+from balance_cli.steps.cross_checks import compare_with_other_runs
 
 RUN_ROLE = "run"
 REMEDY = "Merge shards of one reduction: the same options, calibration, response and zero run"
@@ -60,7 +60,7 @@ class _Ordered(Mapping[str, RunLoads]):
 def merge_loads(shards: Iterable[Shard]) -> MergedShards:
     """Return the loads of all shards, runs in the order of their names; one shard at a time is in memory.
 
-    The wind runs, of which a shard holds only some, are compared with each other.
+    The runs, of which a shard holds only some, are compared with each other.
     Raises UserError where two shards come from different reductions, or have a run in common.
     """
     first: _Reduction | None = None
@@ -84,9 +84,10 @@ def merge_loads(shards: Iterable[Shard]) -> MergedShards:
         inputs |= dict.fromkeys(shard.provenance.inputs)
         counts[shard.file] = len(shard.loads.runs)
     assert first is not None
-    comparisons = compare_wind_runs(runs) if first.loads.method != FREQUENCIES else ()
-    new_warnings = tuple(turn_warnings(comparisons))
-    ordered = flag_turned_runs(_Ordered(runs), comparisons)
+    ordered: Mapping[str, RunLoads] = _Ordered(runs)
+    new_warnings: tuple[str, ...] = ()
+    if first.loads.method != FREQUENCIES:
+        ordered, new_warnings = compare_with_other_runs(ordered)
     merged = replace(first.loads, runs=ordered, warnings=tuple(sorted({*warnings, *new_warnings})) or None)
     return MergedShards(merged, first.provenance.options, tuple(inputs), counts, new_warnings)
 

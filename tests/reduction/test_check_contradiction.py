@@ -7,6 +7,7 @@ import pytest
 
 from balance_cli.reduction.check_contradiction import contradicted_components, flag_by_check_runs
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.steps.cross_checks import compare_loads, compare_with_other_runs
 from balance_cli.steps.reduce import reduce_run
 
 
@@ -53,6 +54,15 @@ def test_a_component_that_is_wrong_is_flagged_in_all_runs(loads):
     assert found[0].components["Fz"] == pytest.approx(0.3, abs=0.01)
     assert all("Fz by 30 %" in run.notes[-1] for run in flagged.values())
     assert not any("contradicted" in flag for run in flagged.values() for flag in run.flags[0])
+
+
+def test_runs_of_other_shards_are_flagged_when_the_shards_are_merged(loads):
+    wrong = _with_error(loads, "Fz", 0.3, slice(1, None))
+    shards = {name: compare_loads({name: run}, None, is_shard=True)[0][name] for name, run in wrong.items()}
+    assert all(shards[name] is run for name, run in wrong.items())
+    merged, once = compare_with_other_runs(shards), compare_loads(wrong, None)
+    assert merged[1] == once[1]
+    assert _flagged(merged[0]) == _flagged(once[0]) == {("check", "Fz"), ("wind", "Fz")}
 
 
 def test_a_single_harmonic_is_flagged_in_the_check_run_alone(loads):
