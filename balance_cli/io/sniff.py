@@ -6,8 +6,6 @@ import errno
 import os
 from pathlib import Path
 
-import numpy as np
-
 from balance_cli.io.errors import UserError
 from balance_cli.io.reader_process import read_in_child
 
@@ -110,6 +108,8 @@ def attribute_text(value: object) -> str | None:
     Text of a fixed length, which h5py reads as bytes, is filled up with blanks by programs in Fortran and MATLAB. An
     array of one entry, which MATLAB and C write as well, counts as that entry.
     """
+    import numpy as np
+
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.ravel()[0]
     if isinstance(value, bytes):
