@@ -72,9 +72,12 @@ class ReadingScore:
         """Whether most of the series of one reading (m,) that another one splits are fitted better by the latter.
 
         A wrong gain, or two channels exchanged, in one series resembles a shifted zero between its two directions: a
-        single one of several series, or one of two, decides nothing.
+        single one of several series, or one of two, decides nothing. A reading without more series, and so without more
+        zeros, is judged by its score.
         """
         few, many = few[self._rows], many[self._rows]
+        if len(np.unique(many)) <= len(np.unique(few)):
+            return True
         errors = [self._errors(np.unique(block, return_inverse=True)[1]) for block in (few, many)]
         if errors[0] is None or errors[1] is None:
             return False

@@ -132,7 +132,7 @@ def test_what_other_programs_write_says_the_same(path: Path) -> None:
 
 
 def test_storage_of_other_programs_says_the_same(path: Path, tmp_path: Path) -> None:
-    """A user block, attributes as arrays, pulses as a row, with some of an earlier trigger."""
+    """A user block, attributes as arrays, and pulses of an earlier trigger."""
     write_run(path, a_run("wind"))
     other = tmp_path / "other.h5"
     with h5py.File(other, "w", userblock_size=512) as file, h5py.File(path) as first:
@@ -140,7 +140,7 @@ def test_storage_of_other_programs_says_the_same(path: Path, tmp_path: Path) -> 
             file.attrs[name] = [value]
         first.copy("channels", file)
         pulses = first["rotor/pulse_times"][()]
-        file["rotor/pulse_times"] = np.concatenate([[pulses[0] - 9.0, pulses[0] - 8.0], pulses])[None]
+        file["rotor/pulse_times"] = np.concatenate([[pulses[0] - 9.0, pulses[0] - 8.0], pulses])
     assert open_run(other).digest == open_run(path).digest
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +51,14 @@ def read_contents(path: Path) -> RunFileContents:
         if attributes.get("format") != RUN_FORMAT:
             raise _not_a_run_error(path)
         channels = _read_layout(file, "channels", "unit")
-        pulses, attitude = _as_list(_read_layout(file, PULSE_DATASET, "unit")), _read_layout(file, "attitude", "unit")
+        pulses, attitude = _read_layout(file, PULSE_DATASET, "unit"), _read_layout(file, "attitude", "unit")
         rows = channels.shape[0] if channels is not None and channels.shape else 0
         return RunFileContents(
             attributes,
             channels=channels,
             loads=_read_layout(file, "loads", "units"),
             pulses=pulses,
-            pulse_times=_read_list(file, PULSE_DATASET, pulses, MOST_PULSES),
+            pulse_times=_read_values(file, PULSE_DATASET, pulses, MOST_PULSES),
             attitude=attitude,
             angles=_read_values(file, "attitude", attitude, rows),
             has_load_points="load_points" in file,
@@ -81,18 +80,6 @@ def _not_a_run_error(path: Path) -> UserError:
 
 def _read_values(file: h5py.File, name: str, layout: DatasetLayout | None, most_rows: int) -> Array | None:
     return np.asarray(file[name][()]) if is_loadable(layout, most_rows) else None
-
-
-def _as_list(layout: DatasetLayout | None) -> DatasetLayout | None:
-    """Return the layout with a single row or column, as MATLAB writes a vector, as a list."""
-    if layout is None or len(layout.shape) != 2 or 1 not in layout.shape:
-        return layout
-    return replace(layout, shape=(math.prod(layout.shape),))
-
-
-def _read_list(file: h5py.File, name: str, layout: DatasetLayout | None, most_rows: int) -> Array | None:
-    values = _read_values(file, name, layout, most_rows)
-    return None if values is None or layout is None else values.reshape(layout.shape)
 
 
 def _read_labels(file: h5py.File, name: str) -> LabelDataset | None:
