@@ -6,7 +6,7 @@ rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,26 +57,25 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     return (_FlaggedRuns(runs, contradictions) if found or with_wrong_rows else runs), contradictions
 
 
-@dataclass(frozen=True, eq=False)
 class _FlaggedRuns(Mapping[str, RunLoads]):
     """The loads of runs, each flagged when it is asked for: a batch has more of them than fit in memory."""
 
-    runs: Mapping[str, RunLoads]
-    contradictions: tuple[CheckContradiction, ...]
+    def __init__(self, runs: Mapping[str, RunLoads], contradictions: Sequence[CheckContradiction]) -> None:
+        self._runs = runs
+        self._components = {component for item in contradictions for component in item.components}
+        self._sentences = tuple(item.sentence for item in contradictions)
 
     def __getitem__(self, name: str) -> RunLoads:
-        loads = self.runs[name]
-        whole = {component for item in self.contradictions for component in item.components}
+        loads = self._runs[name]
         rows = _contradicted_rows(loads)
-        rows[1:] |= [component in whole for component in loads.components]
-        sentences = (item.sentence for item in self.contradictions)
-        return replace(_flag_rows(loads, rows), notes=(*loads.notes, *sentences)) if rows.any() else loads
+        rows[1:] |= [component in self._components for component in loads.components]
+        return replace(_flag_rows(loads, rows), notes=(*loads.notes, *self._sentences)) if rows.any() else loads
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.runs)
+        return iter(self._runs)
 
     def __len__(self) -> int:
-        return len(self.runs)
+        return len(self._runs)
 
 
 def contradicted_components(loads: RunLoads) -> dict[str, float]:
