@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_response
+from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
 
@@ -52,10 +52,11 @@ class PairContradiction:
 
 
 def contradicted_pairs(
-    record: RotorRecord, geometry: Geometry, source: ResponseSource
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, response: ComplexArray
 ) -> tuple[PairContradiction, ...]:
     """Return the pairs of channels of one cell that contradict each other beyond noise and what is usual.
 
+    `response` is the `harmonic_response` of the record.
     None where the response is known to miss its own data, which it may do in one of the channels.
     """
     if source.response_error is not None or source.is_contradicted or len(record.spectra.frequency_hz) < 2:
@@ -63,7 +64,7 @@ def contradicted_pairs(
     live = record.health.live
     frequency = record.spectra.frequency_hz[1:]
     picked = source.channel_combination(frequency[:1], live)
-    if picked.combination.shape[1] != len(live) or not np.array_equal(picked.combination[0], np.eye(len(live))):
+    if not picked.rows_are_channels:
         return ()
     sources = {channel.name: channel.source for channel in geometry.channels}
     by_source: dict[str, list[int]] = {}
@@ -72,8 +73,7 @@ def contradicted_pairs(
     pairs = [(members[0], other) for members in by_source.values() for other in members[1:]]
     if not pairs:
         return ()
-    T = harmonic_response(record, geometry, source)[:, picked.rows]
-    return tuple(_contradictions(record, geometry, T, pairs))
+    return tuple(_contradictions(record, geometry, response[:, picked.rows], pairs))
 
 
 def _contradictions(

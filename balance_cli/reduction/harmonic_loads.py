@@ -153,9 +153,7 @@ def _without_speed_modulation(
 ) -> Run | None:
     """Return the run with what changes in the harmonics with the speed taken out; None where rows are not channels."""
     picked = source.channel_combination(spectra.frequency_hz[1:2], health.live)
-    if picked.combination.shape[1] != len(health.live) or not np.array_equal(
-        picked.combination[0], np.eye(len(health.live))
-    ):
+    if not picked.rows_are_channels:
         return None
     known = run.channel_names + COMPONENTS
     columns = tuple(known.index(name) for name in spectra.names)
@@ -197,16 +195,19 @@ def _place(run: Run) -> str:
     return str(run.path or run.name)
 
 
-def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> SolvedLoads:
+def harmonic_loads(
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, response: ComplexArray | None = None
+) -> SolvedLoads:
     """Estimate harmonics 1 to n: remove the anti-alias filter, then invert the response, weighted by noise.
 
+    `response` is the `harmonic_response`, where it is known already.
     Raises UserError where the usable channels do not determine the loads.
     """
     spectra, health = record.spectra, record.health
     frequency = spectra.frequency_hz[1:]
     channel_combination = source.channel_combination(frequency, health.live)
     columns = [COMPONENTS.index(name) for name in record.components]
-    response = harmonic_response(record, geometry, source)
+    response = harmonic_response(record, geometry, source) if response is None else response
     T = response[:, channel_combination.rows][:, :, columns]
     _check_determined(T, record)
     live = spectra.columns(health.live)

@@ -44,6 +44,12 @@ class ChannelCombination:
     rows: list[int]
     combination: ComplexArray
 
+    @property
+    def rows_are_channels(self) -> bool:
+        """Whether each row is one of the live channels, in their order."""
+        rows, channels = self.combination.shape[1:]
+        return rows == channels and np.array_equal(self.combination[0], np.eye(channels))
+
 
 class ResponseSource(Protocol):
     """A response at any frequency; its rows are channels, or sensors that are formed from channels."""

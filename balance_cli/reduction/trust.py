@@ -31,6 +31,7 @@ from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
 from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine, unmodelled_lines
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 MODEL_ERROR_SHARE = 0.1
@@ -99,11 +100,13 @@ def assess_trust(
     geometry: Geometry,
     source: ResponseSource,
     static: TrimCalibration | None,
+    response: ComplexArray,
     solution: SolvedLoads,
     sigma: Array,
 ) -> Trust:
     """Examine the loads of a record; `sigma` (n+1, m) are the standard deviations stated for them.
 
+    `response` is its `harmonic_response`, by which the loads were solved.
     Without a `static` calibration the mean loads are not examined.
     """
     shape, m = sigma.shape, sigma.shape[1]
@@ -121,7 +124,7 @@ def assess_trust(
         )
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
     unsteady = unsteady_loads(record, geometry, source, static, sigma)
-    pairs = contradicted_pairs(record, geometry, source)
+    pairs = contradicted_pairs(record, geometry, source, response)
     rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
     return Trust(untested, unsteady, contradicted, rejected, lines, shared, pairs, regressed)
@@ -131,7 +134,7 @@ def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array]
     """Return |T|^2 (k, c, 6) of the live channels at k frequencies; None where the rows of the response are others."""
     live = record.health.live
     picked = source.channel_combination(record.spectra.frequency_hz[1:2], live)
-    if picked.combination.shape[1] != len(live) or not np.array_equal(picked.combination[0], np.eye(len(live))):
+    if not picked.rows_are_channels:
         return None
     return lambda frequency: np.abs(source.at(frequency, record.spin)[:, picked.rows]) ** 2
 

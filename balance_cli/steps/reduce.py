@@ -13,7 +13,7 @@ from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
-from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, rotor_record
+from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response, rotor_record
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
@@ -77,7 +77,9 @@ def reduce_record(
     mean_solution = (
         unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
     )
-    harmonic_solution = add_dynamic_error(harmonic_loads(record, geometry, source), record, geometry, source)
+    response = harmonic_response(record, geometry, source)
+    solved = harmonic_loads(record, geometry, source, response)
+    harmonic_solution = add_dynamic_error(solved, record, geometry, source)
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     errors_known = calibration is None or calibration.errors_known
@@ -85,7 +87,7 @@ def reduce_record(
     loads = _combine_loads(record, mean_solution, harmonic_solution, source)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     static = None if calibration is None else nearest_trim(calibration, loads)
-    trust = assess_trust(record, geometry, source, static, harmonic_solution, sigma)
+    trust = assess_trust(record, geometry, source, static, response, harmonic_solution, sigma)
     shared = (line.description for line in record.confounded)
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
