@@ -97,7 +97,12 @@ def reduce_record(
         loads = _flag_implausible(loads, static)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
-    check = check_errors(record.spectra, harmonic_solution, loads.components, geometry)
+    return _with_check_errors(loads, record, harmonic_solution, geometry)
+
+
+def _with_check_errors(loads: RunLoads, record: RotorRecord, solution: SolvedLoads, geometry: Geometry) -> RunLoads:
+    """Return the loads of a check run with their errors, flagged where the known loads have another unit or sign."""
+    check = check_errors(record.spectra, solution, loads.components, geometry)
     contradiction = scale_contradiction(check, loads.amplitude, loads.components)
     if contradiction:
         loads = replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, contradiction))
