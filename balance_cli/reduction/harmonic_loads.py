@@ -228,12 +228,11 @@ def harmonic_loads(
         return circular_real(_known_error(record, source, channel_combination.rows, as_components(loads)))
 
     scale = np.tile(load_scale(geometry.hub)[columns], 2)
-    stacked = np.concatenate([y.real, y.imag], axis=1)
     sample = np.diag(_channel_noise(record, geometry)).astype(complex)
     weighting_covariance = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
     return solve_loads(
         stacked_real(T),
-        stacked,
+        np.concatenate([y.real, y.imag], axis=1),
         circular_real(noise),
         spectra.dof[1:],
         response_covariance,
