@@ -46,8 +46,12 @@ main()
 """
 
 
-FOREGROUND = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-"""A shell that starts the tests in the background has them ignore interrupts."""
+FOREGROUND = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+"""
+"""A shell that starts the tests in the background has them ignore interrupts, and nohup that the terminal closes."""
 
 
 def run(code, *words, **options):
