@@ -1,10 +1,14 @@
 """Mains interference between the lines of a rig with as many cells as loads: information, and a whole diagnosis."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED
+from balance_cli.diagnosis.selection.testability import find_untestable_effects
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.likelihood import batch_curvature
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -46,6 +50,16 @@ def test_the_information_about_a_tone_is_never_negative(spectra):
             size = np.sqrt(np.maximum(np.diag(information), 1e-300))
             assert np.diag(information).min() >= 0.0
             assert np.linalg.eigvalsh(information / np.outer(size, size))[0] > -1e-6
+
+
+@pytest.mark.parametrize(("band", "testable"), [((0.0, 40.0), False), ((45.0, 56.0), True), ((62.0, 200.0), True)])
+def test_without_lines_at_the_mains_interference_is_not_testable(spectra, band, testable):
+    """The lines are 7 Hz apart: the main lobe of a tone at 60 Hz reaches the first one above 62 Hz."""
+    lines = tuple(run.select((run.frequency >= band[0]) & (run.frequency <= band[1])) for run in spectra.lines)
+    found = find_untestable_effects((), replace(spectra, lines=lines), RIG, DEFAULT_SETTINGS.selection)
+    reasons = {item.name: item.reason for item in found}
+    assert ("mains-pickup" not in reasons) == testable
+    assert testable or reasons["mains-pickup"].endswith("is at 50 or 60 Hz")
 
 
 def test_a_tone_that_the_lines_of_the_search_cannot_show_is_kept(spectra):

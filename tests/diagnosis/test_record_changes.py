@@ -7,6 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.diagnosis.conclusions import judge_drifts
+from balance_cli.diagnosis.data_tests.channel_drifts import channel_drift_tests
 from balance_cli.diagnosis.data_tests.record_changes import record_tests
 from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, RECORD_CHANGE_TEST, ModelFreeTest
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
@@ -44,6 +45,13 @@ def drifting(run, name, change):
     return replace(run, source=MemorySource(channels, block.loads))
 
 
+def late(x, time, share):
+    """A channel whose clock is 20 parts in a million slow."""
+    spectrum = np.fft.rfft(np.concatenate([x, x[::-1]]))
+    fine = np.fft.irfft(spectrum, 16 * len(x)) * 8.0
+    return np.interp(time * (1.0 - 2e-5), np.arange(len(fine)) * time[1] / 8.0, fine)
+
+
 def rows(runs, geometry=None):
     geometry = rotor_balance() if geometry is None else geometry
     spectra = measured_spectra(runs, geometry, means=True)
@@ -71,11 +79,6 @@ def test_a_gain_that_drifts_within_the_record_is_named(runs, size):
 def test_a_clock_that_runs_slow_is_a_delay_that_grows(runs):
     """A box whose clock is 20 parts in a million slow is 0.06 ms later three seconds on."""
 
-    def late(x, time, share):
-        spectrum = np.fft.rfft(np.concatenate([x, x[::-1]]))
-        fine = np.fft.irfft(spectrum, 16 * len(x)) * 8.0
-        return np.interp(time * (1.0 - 2e-5), np.arange(len(fine)) * time[1] / 8.0, fine)
-
     row = rows([drifting(run, "z1.piezo", late) for run in runs])["z1.strain, z1.piezo"]
     late_by = float(row.finding.split("z1.piezo is late by ")[1].split()[0])
     assert late_by == pytest.approx(0.06, abs=0.002)
@@ -88,10 +91,38 @@ def test_short_records_and_cells_of_one_channel_have_no_row(runs):
         for run in runs
     ]
     assert not rows(short)
-    strain_only = rotor_balance().model_copy(
-        update={"channels": tuple(c for c in rotor_balance().channels if not c.name.endswith("piezo"))}
-    )
-    assert not rows(runs, strain_only)
+    assert not rows(runs, strain_only())
+
+
+def strain_only():
+    """The balance with one channel in each cell."""
+    channels = tuple(channel for channel in rotor_balance().channels if not channel.name.endswith("piezo"))
+    return rotor_balance().model_copy(update={"channels": channels})
+
+
+@pytest.mark.parametrize(
+    ("names", "change", "size", "words"),
+    [
+        (("z1.strain", "z3.strain"), late, 0.04, "is late by {} ms; one cause for all of them would be a clock"),
+        (("z2.strain",), lambda x, time, share: x * (1.0 - 0.004 * share), 0.998, "reads {} times as much"),
+        ((), None, None, "equal"),
+    ],
+    ids=["clock of a box", "gain", "nothing"],
+)
+def test_channels_that_are_alone_in_their_cells_are_compared_with_all_others(runs, names, change, size, words):
+    """The first two steady periods of a line begin two seconds before the last two, a third of the record."""
+    changed = runs
+    for name in names:
+        changed = [drifting(run, name, change) for run in changed]
+    lines = measured_spectra(changed, strain_only(), means=True).lines
+    (row,) = channel_drift_tests(lines, strain_only(), SETTINGS)
+    before, _, after = words.partition("{}")
+    assert before in row.finding and after in row.finding
+    if names:
+        assert row.place == ", ".join(names) and row.p_value < 1e-6
+        assert float(row.finding.split(before)[1].split()[0]) == pytest.approx(size, rel=0.04 if size < 0.1 else 1e-4)
+    else:
+        assert row.p_value > 1e-3
 
 
 def test_an_effect_that_is_the_average_of_a_drift_is_not_explained():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.data_tests.channel_drifts import channel_drift_tests
 from balance_cli.diagnosis.data_tests.channel_pairs import channel_tests
 from balance_cli.diagnosis.data_tests.mains_detection import mains_tests
 from balance_cli.diagnosis.data_tests.record_changes import record_tests
@@ -28,6 +29,7 @@ def model_free_tests(
         *static_tests(runs, spectra.statics, geometry, lowest_mode, settings.data_tests),
         *run_tests(runs, geometry, settings.data_tests),
         *record_tests(runs, geometry, settings.data_tests),
+        *channel_drift_tests(runs, geometry, settings.data_tests),
         *level_tests(runs, geometry, settings.data_tests),
         *spin_tests(runs, geometry, settings.data_tests),
         *mains_tests(runs, settings.data_tests),

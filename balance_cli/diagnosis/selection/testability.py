@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.result import UntestableEffect
 from balance_cli.diagnosis.search.score_statistics import Score
@@ -28,6 +30,8 @@ def find_untestable_effects(
             continue
         if not effect.places(geometry):
             untestable.append(UntestableEffect(effect.name, _no_place_reason(geometry)))
+        elif effect.search.tone is not None and not _has_tone_lines(effect, spectra, geometry):
+            untestable.append(UntestableEffect(effect.name, _no_tone_lines_reason(effect, spectra, geometry)))
         elif expected and max(expected) < settings.detectable_chi2:
             reason = _untestable_reason(effect, max(expected), spectra, settings)
             untestable.append(UntestableEffect(effect.name, reason))
@@ -38,6 +42,29 @@ def _no_place_reason(geometry: Geometry) -> str:
     cells, channels = (len(items) for items in (geometry.cells, geometry.channels))
     counted = f"{cells} cell{'s' * (cells != 1)}, {channels} channel{'s' * (channels != 1)}"
     return f"a rig with {counted} that moves in {', '.join(geometry.freedom)} has no place for it"
+
+
+def _tone_frequencies(effect: Effect, geometry: Geometry) -> tuple[float, ...]:
+    """The frequencies [Hz] from which the tone of an effect is searched."""
+    assert effect.search.tone is not None and effect.search.starts is not None
+    name = effect.search.tone.frequency
+    return tuple(start[name] for start in effect.search.starts(geometry, effect.places(geometry)[0]))
+
+
+def _has_tone_lines(effect: Effect, spectra: Spectra, geometry: Geometry) -> bool:
+    """Whether a run has a line whose bin is beside one of the tone's frequencies; others show its leakage only."""
+    return any(
+        np.min(np.abs(run.frequency - tone)) <= 1.5 * np.min(np.diff(np.unique(run.frequency)))
+        for run in spectra.lines
+        if len(np.unique(run.frequency)) > 1
+        for tone in _tone_frequencies(effect, geometry)
+    )
+
+
+def _no_tone_lines_reason(effect: Effect, spectra: Spectra, geometry: Geometry) -> str:
+    tones = " or ".join(f"{tone:g}" for tone in _tone_frequencies(effect, geometry))
+    moving = np.concatenate([run.frequency[run.frequency > 0] for run in spectra.lines])
+    return f"no line of the sweeps ({moving.min():.3g} to {moving.max():.3g} Hz) is at {tones} Hz"
 
 
 def _untestable_reason(effect: Effect, expected: float, spectra: Spectra, settings: SelectionSettings) -> str:

@@ -1,0 +1,194 @@
+"""What drifts within a record where a cell has one channel only: each channel against all others of its record.
+
+The second half of the steady periods of a channel, over the first half, is one but for a gain and a delay that drift:
+
+    Y_last / Y_first = 1 + g - j w tau
+
+A change y of channel c in record r is that of the exciter, which all channels share, and that of the channel:
+
+    y_rc = a_r + v_c + noise,        v = N^+ b,    N = sum_r diag(w_r) - w_r w_r' / sum(w_r),    chi2 = b' v
+
+with the weights w_r, and b the weighted sum of y_r about the weighted means. Where channels differ, they are divided
+into two groups of like values: a box of channels on a clock of its own is one group, which is late together, and an
+amplifier that warms up is a group of one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.data_test_settings import DataTestSettings
+from balance_cli.diagnosis.result import RECORD_CHANGE_TEST, ModelFreeTest
+from balance_cli.diagnosis.significance import bonferroni_min_p_value, chi2_p_value, format_with_sigma
+from balance_cli.signals.covariance_pooling import pooled_covariance, variance_floor
+from balance_cli.signals.run_spectrum import RunSpectrum
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+GAIN, DELAY = 0, 1
+EVERY_CHANNEL = "channels of cells with one channel"
+"""Place of a test that finds nothing."""
+CLEAR_SIGMAS = 3.0
+"""Distance from the other group at which a channel is named: one that was hardly loaded could belong to either."""
+FEWEST_CHANNELS = 3
+"""Of two channels that differ neither is the one that drifts."""
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """Changes of gain and delay [s] (2, c) from the first half of a record to the last, and their sigmas (2, c).
+
+    `dof`: complex degrees of freedom of the noise of a period.
+    """
+
+    value: Array
+    sigma: Array
+    dof: float
+
+
+def channel_drift_tests(
+    runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings
+) -> list[ModelFreeTest]:
+    """One row where periodic records have channels of cells with one channel; else none."""
+    cells = Counter(channel.cell for channel in geometry.channels)
+    names = tuple(item.name for item in geometry.channels if item.cell is not None and cells[item.cell] == 1)
+    if len(names) < FEWEST_CHANNELS:
+        return []
+    changes = [_changes_of_run(run, names, settings) for run in runs]
+    found = [change for change in changes if change is not None]
+    test = _test(names, found, settings) if found else None
+    return [] if test is None else [test]
+
+
+def _changes_of_run(run: RunSpectrum, names: tuple[str, ...], settings: DataTestSettings) -> _Changes | None:
+    """The changes of the channels of a run; None for a record that is too short."""
+    if run.periods is None or not set(names) <= set(run.channel_names):
+        return None
+    steady = _first_steady_periods(run)
+    begin = min(int(steady.max()), len(run.periods) - 2 * settings.record_changes.min_half_periods)
+    lines = np.flatnonzero((run.frequency > 0) & (steady <= begin))
+    if begin < 1 or not lines.size:
+        return None
+    places = [run.channel_names.index(name) for name in names]
+    periods = run.periods[begin:, lines[:, None], places]
+    half = len(periods) // 2
+    variance, dof = _noise_of_period(periods)
+    first, last = periods[:half].mean(axis=0), periods[-half:].mean(axis=0)
+    value, sigma = _fit_gain_and_delay(first, last, variance / half, 2.0 * np.pi * run.frequency[lines])
+    signal = np.sum(np.abs(first) ** 2, axis=0) / np.sum(variance / half, axis=0)
+    sigma = np.where(signal < settings.run_changes.min_signal_to_noise, np.inf, sigma)
+    return _Changes(value, sigma, dof)
+
+
+def _first_steady_periods(run: RunSpectrum) -> NDArray[np.intp]:
+    """The first period (k,) in which a line holds no start transient, at least the second of the record."""
+    assert run.periods is not None
+    if run.window is None:
+        return np.ones(len(run.frequency), np.intp)
+    # A record that begins with part of a period passes for one of longer periods, whose first steady one is no earlier.
+    first = np.ceil(len(run.periods) * run.window.start / run.window.stop - 1e-9)
+    return np.maximum(first.astype(np.intp), 1)
+
+
+def _noise_of_period(periods: ComplexArray) -> tuple[Array, float]:
+    """Variance (k, c) of one period (P, k, c) and its dof, from differences of successive ones."""
+    step = np.diff(periods, axis=0)
+    scatter = np.einsum("pki,pkj->kij", step, step.conj()) / 2.0
+    counts = np.full(periods.shape[1], float(len(step)))
+    covariance, dof = pooled_covariance(scatter, counts, floor=variance_floor(periods))
+    # Overlapping differences: von Neumann, Ann. Math. Stat. 12 (1941) 367.
+    return np.diagonal(covariance, axis1=1, axis2=2).real, 2.0 / 3.0 * dof
+
+
+def _fit_gain_and_delay(first: ComplexArray, last: ComplexArray, variance: Array, omega: Array) -> tuple[Array, Array]:
+    """Gain and delay (2, c) that turn the first half into the last, and their sigmas (2, c).
+
+    What they do not describe widens sigma (Birge ratio): a transient that remains is neither.
+    """
+    weight = np.abs(first) ** 2 / (2.0 * variance)  # inverse variance of each part of the ratio's change, times two
+    change = last / np.where(first == 0, 1.0, first) - 1.0
+    size = np.stack([weight.sum(axis=0), (weight * omega[:, None] ** 2).sum(axis=0)])
+    size = np.maximum(size, np.finfo(float).tiny)
+    gain = np.sum(weight * change.real, axis=0) / size[GAIN]
+    delay = -np.sum(weight * omega[:, None] * change.imag, axis=0) / size[DELAY]
+    left = change - gain + 1j * omega[:, None] * delay
+    birge = 2.0 * np.sum(weight * np.abs(left) ** 2, axis=0) / max(2 * len(omega) - 2, 1)
+    return np.stack([gain, delay]), np.sqrt(np.maximum(birge, 1.0) / (2.0 * size))
+
+
+def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTestSettings) -> ModelFreeTest | None:
+    """Whether the changes of the channels over all records differ, in gain or in delay."""
+    weight = np.array([change.sigma**-2.0 for change in changes])
+    loaded = np.flatnonzero(weight.sum(axis=0).min(axis=0) > 0)
+    if len(loaded) < FEWEST_CHANNELS:
+        return None
+    value = np.array([change.value for change in changes])
+    fits = [_ChannelFit.of(value[:, kind, loaded], weight[:, kind, loaded]) for kind in (GAIN, DELAY)]
+    dof, limit = float(len(loaded) - 1), min(change.dof for change in changes)
+    p_values = [chi2_p_value(fit.chi2, (dof,), (limit,)) for fit in fits]
+    kind, p_value = int(np.argmin(p_values)), bonferroni_min_p_value(p_values)
+    place, finding = EVERY_CHANNEL, "equal"
+    if p_value <= settings.significance_level:
+        group = fits[kind].group_apart()
+        place = ", ".join(names[loaded[i]] for i in group)
+        finding = _describe(kind, *fits[kind].change_of(group), len(group))
+    return ModelFreeTest(RECORD_CHANGE_TEST, place, fits[kind].chi2, dof, p_value, finding)
+
+
+@dataclass(frozen=True)
+class _ChannelFit:
+    """N `matrix` (c, c) and b `right` (c,) of the channels, and the weighted means (c,) `mean` of their changes."""
+
+    matrix: Array
+    right: Array
+    mean: Array
+
+    @classmethod
+    def of(cls, value: Array, weight: Array) -> _ChannelFit:
+        """The fit of changes (r, c) with weights (r, c)."""
+        total = np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        matrix = np.diag(weight.sum(axis=0)) - weight.T @ (weight / total)
+        about = value - np.sum(weight * value, axis=1, keepdims=True) / total
+        return cls(matrix, np.sum(weight * about, axis=0), np.sum(weight * value, axis=0) / weight.sum(axis=0))
+
+    @property
+    def change(self) -> Array:
+        """V (c,), of any common level."""
+        return np.asarray(np.linalg.pinv(self.matrix, hermitian=True) @ self.right)
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of channels that do not differ."""
+        return float(self.right @ self.change)
+
+    def change_of(self, group: Sequence[int] | NDArray[np.intp]) -> tuple[float, float]:
+        """The change of a group against all others, and its sigma."""
+        members = np.isin(np.arange(len(self.right)), group).astype(float)
+        information = float(members @ self.matrix @ members)
+        return float(members @ self.right) / information, information**-0.5
+
+    def group_apart(self) -> list[int]:
+        """The smaller of the two groups that explain most of chi-square; of equal ones that which has changed more."""
+        order = np.argsort(self.change)
+        groups = [(order[:i], order[i:]) for i in range(1, len(order))]
+        parts = max(groups, key=lambda each: abs(self.change_of(each[0])[0] / self.change_of(each[0])[1]))
+        small, large = sorted(parts, key=lambda part: (len(part), -abs(float(np.mean(self.mean[part])))))
+        apart = np.abs(self.change - np.mean(self.change[large])) * np.sqrt(np.diag(self.matrix))
+        return sorted(int(i) for i in small if apart[i] > CLEAR_SIGMAS) or sorted(map(int, small))
+
+
+def _describe(kind: int, change: float, sigma: float, count: int) -> str:
+    """How far a group of `count` channels has moved against the others, in words."""
+    opening = "drifts within the records: against the first half and the other channels, in the last it "
+    if kind == GAIN:
+        return opening + f"reads {format_with_sigma(1.0 + change, sigma)} times as much"
+    late = "late" if change > 0 else "early"
+    cause = "; one cause for all of them would be a clock of their own" if count > 1 else ""
+    return opening + f"is {late} by {format_with_sigma(1e3 * abs(change), 1e3 * sigma, 'ms')}{cause}"
