@@ -112,15 +112,14 @@ def _add_noise_to_lines(noise_free_data: RunSpectrum, geometry: Geometry, rng: n
     z = per_part * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     mean = z.mean(axis=0)
     deviation = z - mean
-    scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = pooled_covariance(scatter, np.full(len(mean), PERIODS - 1.0))
+    pooled = pooled_covariance(deviation.swapaxes(0, 1), np.full(len(mean), PERIODS - 1.0))
     c = len(noise_free_data.channel_names)
     return replace(
         noise_free_data,
         channels=noise_free_data.channels + mean[:, :c],
         loads=noise_free_data.loads + mean[:, c:],
-        covariance=covariance / PERIODS,
-        dof=dof,
+        covariance=pooled.at_lines / PERIODS,
+        dof=pooled.dof,
     )
 
 

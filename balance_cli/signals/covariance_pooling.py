@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -57,20 +59,6 @@ def _window_starts(count: int, width: int, step: int) -> NDArray[np.int64]:
     return np.clip(np.arange(0, count, step) - width // 2, 0, count - width)
 
 
-def _weighted_sums(weights: Array, scatter: ComplexArray, width: int, step: int) -> ComplexArray:
-    """Return `window_sums` of weights (K,) times scatter (K, n, n).
-
-    The windows are few, and each is a product of its weights with rows of the scatter: a cumulative sum over all lines
-    takes seven times as long.
-    """
-    rows = np.ascontiguousarray(scatter, complex).reshape(len(scatter), -1).view(np.float64)
-    starts = _window_starts(len(scatter), width, step)
-    sums = np.empty((len(starts), rows.shape[1]))
-    for total, start in zip(sums, starts.tolist(), strict=True):
-        np.dot(weights[start : start + width], rows[start : start + width], out=total)
-    return np.asarray(sums.view(np.complex128).reshape(-1, *scatter.shape[1:]))
-
-
 def variance_floor(spectra: ComplexArray) -> Array:
     """Return the least variance (n,) that is assumed for the noise of signals (..., n).
 
@@ -82,29 +70,113 @@ def variance_floor(spectra: ComplexArray) -> Array:
     )
 
 
+@dataclass(frozen=True)
+class PooledCovariance:
+    """Noise covariance of one degree of freedom at neighboring lines, piecewise constant.
+
+    Each of `lines` has the covariance of the nearest of `knots` (B, n, n), which lie at every `step`-th line. `dof` are
+    its complex degrees of freedom.
+    """
+
+    knots: ComplexArray
+    step: int
+    lines: int
+    dof: float
+
+    @functools.cached_property
+    def nearest(self) -> NDArray[np.int64]:
+        """The knot (lines,) of each line."""
+        return np.minimum((np.arange(self.lines) + self.step // 2) // self.step, len(self.knots) - 1)
+
+    @property
+    def at_lines(self) -> ComplexArray:
+        """The covariance (lines, n, n) at every line."""
+        return self.knots[self.nearest]
+
+    @functools.cached_property
+    def inverses(self) -> ComplexArray:
+        """The inverse of each knot."""
+        return np.asarray(np.linalg.inv(self.knots), complex)
+
+    def solve(self, vectors: ComplexArray) -> ComplexArray:
+        """Return the inverse covariance times vectors (lines, v, n), with one product for each knot."""
+        _, v, n = vectors.shape
+        before = self.step // 2
+        blocks = -(-(before + self.lines) // self.step)
+        padded = np.zeros((blocks * self.step, v, n), complex)
+        padded[before : before + self.lines] = vectors
+        inverses = self.inverses[np.minimum(np.arange(blocks), len(self.knots) - 1)]
+        weighted = np.matmul(padded.reshape(blocks, -1, n), inverses.swapaxes(1, 2))
+        return np.asarray(weighted.reshape(-1, v, n)[before : before + self.lines])
+
+    def distances(self, vectors: ComplexArray) -> Array:
+        """Return the squared Mahalanobis distance (K, v) of vectors (K, v, n); its mean is n for noise."""
+        n = vectors.shape[2]
+        weighted = self.solve(vectors)
+        squared = np.sum(vectors.real * weighted.real + vectors.imag * weighted.imag, axis=2)
+        return np.asarray(squared * inverse_bias_factor(max(self.dof, n + 1), n), float)
+
+
 def pooled_covariance(
-    scatter: ComplexArray, counts: Array, least_dof: float = LEAST_POOLED_DOF, floor: Array | float = 0.0
-) -> tuple[ComplexArray, float]:
+    deviations: ComplexArray, counts: Array, least_dof: float = LEAST_POOLED_DOF, floor: Array | float = 0.0
+) -> PooledCovariance:
     """Estimate the noise covariance of one degree of freedom at every line, pooled over neighboring lines.
 
-    `scatter` (K, n, n) is the sum of outer products of deviations at each line, with `counts` (K,) complex degrees of
-    freedom. The window is the narrowest that gives `least_dof` at every line (or holds all lines), so that the
-    covariance follows the spectrum of the noise and can still be inverted. Lines whose scatter is improbably large
-    (residual transients, mains interference) get less weight (Huber's weights on the Mahalanobis distance). `floor`
-    (n,) or one number is added to the variances. Returns the covariance (K, n, n) and its degrees of freedom.
+    The sum of the outer products of the `deviations` (K, v, n) of a line with themselves has `counts` (K,) complex
+    degrees of freedom. The window is the narrowest that gives `least_dof` at every line (or holds all lines), so that
+    the covariance follows the spectrum of the noise and can still be inverted. Lines whose deviations are improbably
+    large (residual transients, mains interference) get less weight (Huber's weights on the Mahalanobis distance).
+    `floor` (n,) or one number is added to the variances.
     """
-    scatter = scatter + counts[:, None, None] * (floor * np.eye(scatter.shape[1]))
+    K, _, n = deviations.shape
+    deviations = np.ascontiguousarray(deviations, complex)
+    floor = np.broadcast_to(np.asarray(floor, float), n)
     width = _pooling_width(counts, least_dof)
-    dof = float(np.median(window_sums(counts, width)))
     step = max(width // STEPS_PER_WINDOW, 1)
-    nearest = np.minimum((np.arange(len(counts)) + step // 2) // step, (len(counts) - 1) // step)
-    weights = _initial_weights(scatter, counts)
+    starts = _window_starts(K, width, step)
+    dof = float(np.median(window_sums(counts, width)))
+    bound = outlier_bound(counts, n)
+    weights = _initial_weights(deviations, counts, floor)
     for _ in range(ROBUST_ITERATIONS):
         total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
-        knots = _weighted_sums(weights, scatter, width, step) / total[:, None, None]
-        distance = _distances_from_inverse(scatter, np.linalg.inv(knots)[nearest], counts, dof)
-        weights = np.minimum(1.0, outlier_bound(counts, scatter.shape[1]) / distance)
-    return knots[nearest], dof
+        sums = _window_products(weights, deviations, starts, min(width, K))
+        pooled = PooledCovariance(sums / total[:, None, None] + np.diag(floor), step, K, dof)
+        weights = np.minimum(1.0, bound / mean_distances(pooled, deviations, counts, floor))
+    return pooled
+
+
+def _window_products(weights: Array, deviations: ComplexArray, starts: NDArray[np.int64], width: int) -> ComplexArray:
+    """Return the weighted sums (B, n, n) of outer products of deviations (K, v, n) over windows of `width` lines.
+
+    Windows overlap: each product of lines between two successive edges of windows is computed once.
+    """
+    _, v, n = deviations.shape
+    cuts = np.unique(np.concatenate([starts, starts + width]))
+    rows = deviations.reshape(-1, n)
+    conjugate = (deviations.conj() * weights[:, None, None]).reshape(-1, n)
+    parts = np.empty((len(cuts) - 1, n, n), complex)
+    for part, low, high in zip(parts, (v * cuts[:-1]).tolist(), (v * cuts[1:]).tolist(), strict=True):
+        np.dot(rows[low:high].T, conjugate[low:high], out=part)
+    sums = np.empty((len(starts), n, n), complex)
+    ends = np.searchsorted(cuts, np.stack([starts, starts + width], axis=1))
+    for total, (low, high) in zip(sums, ends.tolist(), strict=True):
+        np.sum(parts[low:high], axis=0, out=total)
+    return sums
+
+
+def mean_distances(
+    covariance: PooledCovariance, deviations: ComplexArray, counts: Array, floor: Array | float = 0.0
+) -> Array:
+    """Return the Mahalanobis distance per degree of freedom (K,) of deviations (K, v, n), of mean 1 for noise.
+
+    `floor` (n,) is a variance that the deviations lack.
+    """
+    n = deviations.shape[2]
+    squared = covariance.distances(deviations).sum(axis=1)
+    lacking = np.einsum("bii,i->b", covariance.inverses, np.broadcast_to(floor, n)).real
+    lacking = lacking * inverse_bias_factor(max(covariance.dof, n + 1), n)
+    squared = squared + counts * lacking[covariance.nearest]
+    return np.maximum(squared / (n * np.maximum(counts, 1e-12)), 1e-300)
 
 
 def invert_pooled(covariance: ComplexArray) -> ComplexArray:
@@ -114,37 +186,12 @@ def invert_pooled(covariance: ComplexArray) -> ComplexArray:
     return np.asarray(np.linalg.inv(covariance[changed])[np.cumsum(changed) - 1], complex)
 
 
-def mahalanobis_distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
-    """Return the Mahalanobis distance per degree of freedom (K,) of the scatter (K, n, n), of mean 1 for noise."""
-    return _distances_from_inverse(scatter, invert_pooled(covariance), counts, dof)
-
-
-def _distances_from_inverse(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof: float) -> Array:
-    n = scatter.shape[1]
-    # Both are Hermitian: the trace of their product is the sum of products of their real and imaginary parts.
-    first, second = (
-        np.ascontiguousarray(item, complex).reshape(len(item), n * n).view(np.float64) for item in (inverse, scatter)
-    )
-    trace = np.einsum("ka,ka->k", first, second)
-    return np.asarray(
-        np.maximum(trace / (n * np.maximum(counts, 1e-12)) * inverse_bias_factor(max(dof, n + 1), n), 1e-300), float
-    )
-
-
-def vector_mahalanobis_distances(vectors: ComplexArray, covariance: ComplexArray, dof: float) -> Array:
-    """Return the Mahalanobis distance per degree of freedom (..., K) of vectors (..., K, n), of mean 1 for noise."""
-    n = vectors.shape[-1]
-    weighted = np.matmul(invert_pooled(covariance), vectors[..., None])[..., 0]
-    squared = np.sum(vectors.conj() * weighted, axis=-1).real
-    return np.asarray(squared / n * inverse_bias_factor(max(dof, n + 1), n), float)
-
-
 def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILITY) -> Array:
     """Return the distance (K,) that noise of n signals exceeds with this probability at one line (chi-square)."""
     from scipy.special import gammainccinv
 
-    half = n * np.maximum(counts, 1.0)
-    return np.asarray(gammainccinv(half, probability) / half)
+    half, place = np.unique(n * np.maximum(counts, 1.0), return_inverse=True)
+    return np.asarray((gammainccinv(half, probability) / half)[place])
 
 
 def _pooling_width(counts: Array, least_dof: float) -> int:
@@ -157,10 +204,10 @@ def _pooling_width(counts: Array, least_dof: float) -> int:
     return 2 * low + 1
 
 
-def _initial_weights(scatter: ComplexArray, counts: Array) -> Array:
+def _initial_weights(deviations: ComplexArray, counts: Array, floor: Array) -> Array:
     """Weights from the diagonal alone: the power of each signal at a line against the median of its neighbors."""
-    power = np.diagonal(scatter, axis1=1, axis2=2).real / np.maximum(counts, 1e-12)[:, None]
-    blocks = np.array_split(np.arange(len(power)), max(len(power) // MEDIAN_LINES, 1))
-    typical = np.concatenate([np.broadcast_to(np.median(power[b], axis=0), power[b].shape) for b in blocks])
+    power = np.sum(deviations.real**2 + deviations.imag**2, axis=1) / np.maximum(counts, 1e-12)[:, None] + floor
+    blocks = np.array_split(power, max(len(power) // MEDIAN_LINES, 1))
+    typical = np.concatenate([np.broadcast_to(np.median(block, axis=0), block.shape) for block in blocks])
     largest = np.max(power / np.maximum(typical, 1e-300), axis=1)
     return np.asarray(np.minimum(1.0, INITIAL_POWER_LIMIT / np.maximum(largest, 1e-300)), float)

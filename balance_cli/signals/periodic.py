@@ -15,7 +15,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import (
     inverse_bias_factor,
-    mahalanobis_distances,
+    mean_distances,
     outlier_bound,
     pooled_covariance,
     variance_floor,
@@ -30,7 +30,7 @@ from balance_cli.signals.run_samples import (
     sample_rate,
 )
 from balance_cli.signals.run_spectrum import RunSpectrum
-from balance_cli.signals.transient_decay import FEWEST_PERIODS, scatter_about_decay, transient_covariance
+from balance_cli.signals.transient_decay import FEWEST_PERIODS, deviations_from_decay, transient_covariance
 from balance_cli.signals.waveform_types import AnalysisWindow
 
 __all__ = [
@@ -101,8 +101,8 @@ def periodic_record(
     noise = (covariance, dof)
     covariance = covariance * (1.0 + start.bias)[:, None, None]
     if len(spectra) >= FEWEST_PERIODS and not start.steady.all():
-        scatter, counts = scatter_about_decay(spectra)
-        pooled, noise_dof = _pool_scatter(scatter, counts, variance_floor(spectra))
+        deviations, counts = deviations_from_decay(spectra)
+        pooled, noise_dof = _pool_scatter(deviations, counts, variance_floor(spectra))
         noise = (pooled / (len(spectra) - start.first)[:, None, None], noise_dof)
         covariance = covariance + transient_covariance(spectra, start)
     excited = _excited_lines(mean, covariance, len(components))
@@ -189,21 +189,16 @@ def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexA
     m = used.sum(axis=0).astype(float)
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
-    scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = _pool_scatter(scatter, m - 1.0, variance_floor(spectra))
+    covariance, dof = _pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra))
     return mean, covariance / m[:, None, None], dof
 
 
-def _pool_scatter(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
+def _pool_scatter(deviations: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
     """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbors."""
-    covariance, dof = pooled_covariance(scatter, counts, floor=floor)
-    return covariance * _scatter_inflation(scatter, covariance, counts, dof)[:, None, None], dof
-
-
-def _scatter_inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
-    """Ratio (K,) of the scatter of a line to that of its neighbors where it is improbably large, else 1."""
-    distance = mahalanobis_distances(scatter, covariance, counts, dof)
-    return np.where(distance > outlier_bound(counts, scatter.shape[1], INFLATION_PROBABILITY), distance, 1.0)
+    pooled = pooled_covariance(deviations, counts, floor=floor)
+    distance = mean_distances(pooled, deviations, counts)
+    improbable = distance > outlier_bound(counts, deviations.shape[2], INFLATION_PROBABILITY)
+    return pooled.at_lines * np.where(improbable, distance, 1.0)[:, None, None], pooled.dof
 
 
 def _excited_lines(mean: ComplexArray, covariance: ComplexArray, inputs: int) -> NDArray[np.bool_]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from balance_cli.signals.covariance_pooling import (
     pooled_covariance,
     variance_floor,
-    vector_mahalanobis_distances,
     window_sums,
 )
 
@@ -93,14 +92,15 @@ def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatis
     difference = np.diff(spectra, axis=0)
     K, n = spectra.shape[1:]
     late = difference[-2:]
-    scatter = np.einsum("pki,pkj->kij", late, late.conj()) / len(late)
     # Two consecutive differences have the correlation -1/2 and count as 2 / (1 + 1/4) = 1.6 independent ones.
     counts = np.full(K, 1.6 if len(late) == 2 else 1.0)
-    noise, dof = pooled_covariance(scatter * counts[:, None, None], counts, floor=2.0 * variance_floor(spectra))
-    joint_power = vector_mahalanobis_distances(difference, noise, dof)[:, :, None]
-    signal_power = np.abs(difference) ** 2 / np.diagonal(noise, axis1=1, axis2=2).real
-    narrow = _average_over_band(joint_power, NARROW_LINES, n, dof, LARGEST_BIAS)
-    return narrow, _average_over_band(signal_power, WIDE_LINES, 1, dof, LARGEST_BIAS_OF_SIGNAL)
+    deviations = late.swapaxes(0, 1) * np.sqrt(counts[0] / len(late))
+    noise = pooled_covariance(deviations, counts, floor=2.0 * variance_floor(spectra))
+    joint_power = noise.distances(difference.swapaxes(0, 1)).T[:, :, None] / n
+    variance = np.diagonal(noise.at_lines, axis1=1, axis2=2).real
+    signal_power = (difference.real**2 + difference.imag**2) / variance
+    narrow = _average_over_band(joint_power, NARROW_LINES, n, noise.dof, LARGEST_BIAS)
+    return narrow, _average_over_band(signal_power, WIDE_LINES, 1, noise.dof, LARGEST_BIAS_OF_SIGNAL)
 
 
 def _average_over_band(power: Array, lines: int, signals: int, dof: float, largest_bias: float) -> _BandStatistic:

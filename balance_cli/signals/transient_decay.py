@@ -26,8 +26,8 @@ LEAST_LOSS = 0.1
 """Least |1 - r|: a smaller one is not told from that of noise, and would make the remainder boundless."""
 
 
-def scatter_about_decay(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
-    """Return the scatter (K, n, n) of the last periods (P, K, n) about a transient, and its degrees of freedom (K,).
+def deviations_from_decay(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
+    """Return deviations (K, 1, n) of the last periods (P, K, n) from a transient, and their degrees of freedom (K,).
 
     The difference d_2 - r d_1 has 1 + |1 + r|^2 + |r|^2 times the variance of one period. The transient of several
     modes far from their peaks is smooth in frequency, and is removed by differences of neighboring lines.
@@ -37,7 +37,7 @@ def scatter_about_decay(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
     noise = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
     k = np.minimum(np.arange(len(noise)), len(noise) - 2)
     noise = (noise[k + 1] - noise[k]) * np.sqrt(DIFFERENCE_DOF / 2.0)
-    return np.asarray(noise[:, :, None] * noise[:, None, :].conj()), np.full(len(noise), DIFFERENCE_DOF)
+    return np.asarray(noise[:, None, :]), np.full(len(noise), DIFFERENCE_DOF)
 
 
 def transient_covariance(spectra: ComplexArray, start: SteadyStart) -> ComplexArray:

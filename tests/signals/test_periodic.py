@@ -133,15 +133,16 @@ def test_a_cross_axis_load_that_was_measured_is_an_input():
     assert periodic_spectrum(declared, two.names).components == ("Fx", "My")
 
 
-def _scatter(rng, lines, n, counts):
+def _deviations(rng, lines, n, counts):
     vectors = rng.normal(size=(lines, counts, n)) + 1j * rng.normal(size=(lines, counts, n))
-    return np.einsum("kmi,kmj->kij", vectors, vectors.conj()) / 2, np.full(lines, float(counts))
+    return vectors / np.sqrt(2.0), np.full(lines, float(counts))
 
 
 def test_inverse_bias_factor_by_simulation():
     """Mean inverse of a complex Wishart matrix, 20 degrees of freedom, 6 signals."""
     rng = np.random.default_rng(1)
-    scatter, _ = _scatter(rng, 4000, 6, 20)
+    vectors, _ = _deviations(rng, 4000, 6, 20)
+    scatter = np.einsum("kmi,kmj->kij", vectors, vectors.conj())
     inverse = np.linalg.inv(scatter / 20).mean(axis=0).real * inverse_bias_factor(20, 6)
     assert np.diagonal(inverse) == pytest.approx(np.ones(6), abs=0.03)
     assert inverse_bias_factor(np.inf, 6) == 1.0
@@ -151,23 +152,33 @@ def test_inverse_bias_factor_by_simulation():
 
 def test_one_bad_line_does_not_spoil_its_neighbors():
     rng = np.random.default_rng(2)
-    scatter, counts = _scatter(rng, 400, 6, 3)
-    clean, dof = pooled_covariance(scatter, counts)
-    assert dof >= 150
-    scatter[200] *= 1e4
-    spoilt, _ = pooled_covariance(scatter, counts)
-    assert np.trace(spoilt[190]).real == pytest.approx(np.trace(clean[190]).real, rel=0.08)
-    assert np.trace(clean, axis1=1, axis2=2).real.mean() == pytest.approx(6.0, rel=0.03)
+    deviations, counts = _deviations(rng, 400, 6, 3)
+    clean = pooled_covariance(deviations, counts)
+    assert clean.dof >= 150
+    deviations[200] *= 1e2
+    spoilt = pooled_covariance(deviations, counts)
+    assert np.trace(spoilt.at_lines[190]).real == pytest.approx(np.trace(clean.at_lines[190]).real, rel=0.08)
+    assert np.trace(clean.at_lines, axis1=1, axis2=2).real.mean() == pytest.approx(6.0, rel=0.03)
 
 
 def test_covariance_follows_the_color_of_the_noise():
     rng = np.random.default_rng(3)
-    scatter, counts = _scatter(rng, 1000, 4, 3)
+    deviations, counts = _deviations(rng, 1000, 4, 3)
     color = np.linspace(1.0, 10.0, 1000)
-    pooled, _ = pooled_covariance(scatter * color[:, None, None], counts)
-    ratio = np.trace(pooled, axis1=1, axis2=2).real / (4 * color)
+    pooled = pooled_covariance(deviations * np.sqrt(color)[:, None, None], counts)
+    ratio = np.trace(pooled.at_lines, axis1=1, axis2=2).real / (4 * color)
     assert np.abs(ratio[30:-30] - 1).max() < 0.3
     assert ratio[30:-30].mean() == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("lines", "n", "vectors"), [(400, 4, 3), (1, 2, 2), (7, 2, 1), (1001, 3, 1)])
+def test_distances_are_those_of_the_covariance_at_each_line(lines, n, vectors):
+    """Lines in any number, also fewer than a window, and a window whose steps do not divide them."""
+    deviations, counts = _deviations(np.random.default_rng(lines), lines, n, vectors)
+    pooled = pooled_covariance(deviations, counts, floor=0.1)
+    weighted = np.linalg.solve(pooled.at_lines[:, None], deviations[..., None])[..., 0]
+    squared = np.sum(deviations.conj() * weighted, axis=2).real * inverse_bias_factor(max(pooled.dof, n + 1), n)
+    np.testing.assert_allclose(pooled.distances(deviations), squared, rtol=1e-10)
 
 
 def test_white_noise_alone_is_steady_from_the_beginning():

@@ -100,11 +100,10 @@ def _first_steady_periods(run: RunSpectrum) -> NDArray[np.intp]:
 def _noise_of_period(periods: ComplexArray) -> tuple[Array, float]:
     """Variance (k, c) of one period (P, k, c) and its dof, from differences of successive ones."""
     step = np.diff(periods, axis=0)
-    scatter = np.einsum("pki,pkj->kij", step, step.conj()) / 2.0
     counts = np.full(periods.shape[1], float(len(step)))
-    covariance, dof = pooled_covariance(scatter, counts, floor=variance_floor(periods))
+    pooled = pooled_covariance(step.swapaxes(0, 1) / np.sqrt(2.0), counts, floor=variance_floor(periods))
     # Overlapping differences: von Neumann, Ann. Math. Stat. 12 (1941) 367.
-    return np.diagonal(covariance, axis1=1, axis2=2).real, 2.0 / 3.0 * dof
+    return np.diagonal(pooled.at_lines, axis1=1, axis2=2).real, 2.0 / 3.0 * pooled.dof
 
 
 def _fit_gain_and_delay(first: ComplexArray, last: ComplexArray, variance: Array, omega: Array) -> tuple[Array, Array]:

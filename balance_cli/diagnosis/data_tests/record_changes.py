@@ -76,10 +76,9 @@ def _noise_of_period(periods: ComplexArray) -> tuple[ComplexArray, float]:
     their number (von Neumann, Ann. Math. Stat. 12 (1941) 367).
     """
     step = np.diff(periods, axis=0)
-    scatter = np.einsum("pki,pkj->kij", step, step.conj()) / 2.0
     counts = np.full(periods.shape[1], float(len(step)))
-    covariance, dof = pooled_covariance(scatter, counts, floor=variance_floor(periods))
-    return covariance, OVERLAP * dof
+    pooled = pooled_covariance(step.swapaxes(0, 1) / np.sqrt(2.0), counts, floor=variance_floor(periods))
+    return pooled.at_lines, OVERLAP * pooled.dof
 
 
 def _test(pair: ComparedPair, settings: DataTestSettings) -> ModelFreeTest | None:

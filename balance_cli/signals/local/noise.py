@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.covariance_pooling import invert_pooled, pooled_covariance
+from balance_cli.signals.covariance_pooling import PooledCovariance, invert_pooled, pooled_covariance
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,14 +32,6 @@ LOAD_CONVERGENCE, CHANNEL_CONVERGENCE = 0.02, 0.01
 
 
 @dataclass(frozen=True)
-class WeightedResponse:
-    """C^-1 G (K, c, u) for the noise C of the channels, and `information` (K, u, u), G* C^-1 G."""
-
-    response: ComplexArray
-    information: ComplexArray
-
-
-@dataclass(frozen=True)
 class NoiseCovariances:
     """Noise covariance of `channels` (K, c, c) at K lines, with its complex degrees of freedom; of `loads` (u, u)."""
 
@@ -54,17 +46,28 @@ class NoiseCovariances:
 
     def relative_variance(self, response: ComplexArray) -> Array:
         """Return the mean variance (K,) of `Y - G U` over that of the channels: 1 where the loads add no noise."""
-        return self.relative_variance_of(self.weigh(response))
+        information = response.conj().swapaxes(1, 2) @ (invert_pooled(self.channels) @ response)
+        return _relative_variance(information, np.diag(self.loads).real, self.channels.shape[1])
 
-    def relative_variance_of(self, weighted: WeightedResponse) -> Array:
-        """Return the same for a response that is weighted already."""
-        added = np.trace(self.loads @ weighted.information, axis1=1, axis2=2).real
-        return np.asarray(1.0 + added / self.channels.shape[1])
 
-    def weigh(self, response: ComplexArray) -> WeightedResponse:
-        """Return a response (K, c, u) weighted by the inverse covariance of the channels."""
-        weighted = invert_pooled(self.channels) @ response
-        return WeightedResponse(weighted, response.conj().swapaxes(1, 2) @ weighted)
+@dataclass(frozen=True)
+class _Estimate:
+    """The estimate while it is improved: covariance of the channels, variances (u,) of the loads."""
+
+    channels: PooledCovariance
+    loads: Array
+
+
+@dataclass(frozen=True)
+class _WeightedResponse:
+    """C^-1 G (K, c, u) for the noise C of the channels, and `information` (K, u, u), G* C^-1 G."""
+
+    response: ComplexArray
+    information: ComplexArray
+
+
+def _relative_variance(information: ComplexArray, loads: Array, channels: int) -> Array:
+    return np.asarray(1.0 + np.diagonal(information, axis1=1, axis2=2).real @ loads / channels)
 
 
 def estimate_noise_covariances(
@@ -77,37 +80,38 @@ def estimate_noise_covariances(
     `least_dof` degrees of freedom.
     """
     scaled = residual / np.sqrt(counts)[:, None]
-    noise = _initial_covariances(scaled, response, counts, least_dof)
+    noise = _initial_estimate(scaled, response, counts, least_dof)
     for _ in range(EM_ITERATIONS):
-        previous, weighted = noise, noise.weigh(response)
-        noise = replace(noise, loads=_update_load_noise(scaled, weighted, noise))
+        previous, weighted = noise, _weigh(response, noise.channels)
+        noise = replace(noise, loads=_update_load_noise(scaled, weighted, noise.loads))
         noise = _update_channel_noise(scaled, response, weighted, noise, counts, least_dof)
         if _has_converged(noise, previous):
             break
-    return noise
+    return NoiseCovariances(noise.channels.at_lines, np.diag(noise.loads).astype(complex), noise.channels.dof)
 
 
-def _initial_covariances(
-    residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float
-) -> NoiseCovariances:
+def _weigh(response: ComplexArray, channels: PooledCovariance) -> _WeightedResponse:
+    """Return a response (K, c, u) weighted by the inverse covariance of the channels."""
+    weighted = channels.solve(response.swapaxes(1, 2)).swapaxes(1, 2)
+    return _WeightedResponse(weighted, response.conj().swapaxes(1, 2) @ weighted)
+
+
+def _initial_estimate(residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float) -> _Estimate:
     """Noise of the channels from lines of small response, where that of the loads is negligible; the latter is zero."""
-    u = response.shape[2]
     power = np.sum(np.abs(response) ** 2, axis=(1, 2))
     weight = counts / (1.0 + power / max(float(np.median(power)), 1e-300)) ** 2
-    channels, dof = pooled_covariance(
-        _outer_products(residual) * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE
-    )
-    return NoiseCovariances(channels, np.zeros((u, u), complex), dof)
+    deviations = (residual * np.sqrt(weight)[:, None])[:, None, :]
+    return _Estimate(pooled_covariance(deviations, weight, least_dof, LEAST_CHANNEL_NOISE), np.zeros(response.shape[2]))
 
 
 def _update_channel_noise(
     residual: ComplexArray,
     response: ComplexArray,
-    weighted: WeightedResponse,
-    noise: NoiseCovariances,
+    weighted: _WeightedResponse,
+    noise: _Estimate,
     counts: Array,
     least_dof: float,
-) -> NoiseCovariances:
+) -> _Estimate:
     """Update the covariance of the channels by a step of expectation-maximization.
 
     The weight of a line is the inverse square of its noise over that of the channels alone. The covariance of the loads
@@ -115,51 +119,53 @@ def _update_channel_noise(
     """
     if not np.any(noise.loads):
         return noise
-    weight = counts / noise.relative_variance_of(weighted) ** 2
-    explained, posterior = _conditional_load_noise(residual, weighted, noise)
-    channel_residual = residual + np.matmul(response, explained[:, :, None])[:, :, 0]
-    scatter = _outer_products(channel_residual) + response @ posterior @ response.conj().swapaxes(1, 2)
-    channels, dof = pooled_covariance(scatter * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE)
-    return replace(noise, channels=channels, dof=dof)
+    weight = counts / _relative_variance(weighted.information, noise.loads, residual.shape[1]) ** 2
+    explained, root = _conditional_load_noise(residual, weighted, noise.loads)
+    deviations = np.concatenate([residual[:, :, None] + response @ explained[:, :, None], response @ root], axis=2)
+    deviations = (deviations * np.sqrt(weight)[:, None, None]).swapaxes(1, 2)
+    return replace(noise, channels=pooled_covariance(deviations, weight, least_dof, LEAST_CHANNEL_NOISE))
 
 
-def _has_converged(current: NoiseCovariances, previous: NoiseCovariances) -> bool:
-    """Whether two steps differ little in the covariance of the loads and in the mean variances of the channels."""
-    now, before = (np.diagonal(noise.channels, axis1=1, axis2=2).real.mean(axis=0) for noise in (current, previous))
+def _has_converged(current: _Estimate, previous: _Estimate) -> bool:
+    """Whether two steps differ little in the variances of the loads and in the mean variances of the channels."""
+    now, before = (_mean_variances(noise.channels) for noise in (current, previous))
     loads_converged = np.allclose(current.loads, previous.loads, rtol=LOAD_CONVERGENCE, atol=0.0)
     return loads_converged and np.allclose(now, before, rtol=CHANNEL_CONVERGENCE)
 
 
-def _outer_products(vectors: ComplexArray) -> ComplexArray:
-    """Outer product (K, c, c) of each vector (K, c) with itself."""
-    return np.asarray(vectors[:, :, None] * vectors[:, None, :].conj())
+def _mean_variances(covariance: PooledCovariance) -> Array:
+    """Return the variances (c,) of the channels in the mean over all lines."""
+    variance = np.diagonal(covariance.knots, axis1=1, axis2=2).real
+    return np.asarray(np.bincount(covariance.nearest) @ variance / covariance.lines)
 
 
 def _conditional_load_noise(
-    residual: ComplexArray, weighted: WeightedResponse, noise: NoiseCovariances
+    residual: ComplexArray, weighted: _WeightedResponse, loads: Array
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Mean (K, u) and covariance (K, u, u) of the noise L of the loads, given the residuals.
+    """Mean (K, u) of the noise of the loads, given the residuals, and a root (K, u, u) of its covariance.
 
-    The gain is L G* (C + G L G*)^-1 = (1 + L G* C^-1 G)^-1 L G* C^-1 (Woodbury).
+    With S = I + l G* C^-1 G l, where l are the standard deviations of the loads, the gain is l S^-1 l G* C^-1
+    (Woodbury), and the covariance l S^-1 l.
     """
-    loads, information = noise.loads, weighted.information
-    gain = np.linalg.solve(np.eye(len(loads)) + loads @ information, loads @ weighted.response.conj().swapaxes(1, 2))
-    mean = -np.matmul(gain, residual[:, :, None])[:, :, 0]
-    posterior = np.linalg.solve(np.eye(len(loads)) + loads @ information, np.broadcast_to(loads, information.shape))
-    return mean, np.asarray(posterior)
+    sigma = np.sqrt(loads)
+    system = np.eye(len(loads)) + sigma[:, None] * weighted.information * sigma
+    root = sigma[:, None] * np.linalg.inv(np.linalg.cholesky(system)).conj().swapaxes(1, 2)
+    projected = weighted.response.conj().swapaxes(1, 2) @ residual[:, :, None]
+    mean = -(root @ (root.conj().swapaxes(1, 2) @ projected))[:, :, 0]
+    return np.asarray(mean), np.asarray(root)
 
 
-def _update_load_noise(residual: ComplexArray, weighted: WeightedResponse, noise: NoiseCovariances) -> ComplexArray:
-    """Update the load covariance by a scoring step from the best linear estimate of their noise at each line."""
+def _update_load_noise(residual: ComplexArray, weighted: _WeightedResponse, loads: Array) -> Array:
+    """Update the variances (u,) of the loads by a scoring step from the best linear estimate of their noise."""
     information = weighted.information
     ridge = np.trace(information, axis1=1, axis2=2).real[:, None, None] * 1e-9 + 1e-300
-    error_covariance = np.linalg.inv(information + ridge * np.eye(len(noise.loads)))
+    error_covariance = np.linalg.inv(information + ridge * np.eye(len(loads)))
     estimate = -np.matmul(error_covariance @ weighted.response.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
     # Every exciter has its own force cell, so that the noises of the loads are independent of each other.
     error_variance = np.diagonal(error_covariance, axis1=1, axis2=2).real
-    weight = (error_variance + np.diag(noise.loads).real) ** -2.0
+    weight = (error_variance + loads) ** -2.0
     variance = np.sum(weight * (np.abs(estimate) ** 2 - error_variance), axis=0) / weight.sum(axis=0)
     if not np.any(variance > 0.0):
-        return np.zeros_like(noise.loads)
+        return np.zeros_like(loads)
     least = LEAST_LOAD_NOISE * np.sum(weight * error_variance, axis=0) / weight.sum(axis=0)
-    return np.diag(np.maximum(variance, least)).astype(complex)
+    return np.asarray(np.maximum(variance, least))
