@@ -31,6 +31,12 @@ BLADE_MULTIPLES = 2
 """Multiples of the blade harmonic that are reduced at least: the second drives the cabin noise of a helicopter."""
 
 
+FASTER_THAN_PULSES = 2.0
+"""Speed of the rotor over the rate of its closest pulses, at most: missing pulses lie farther apart than any others, and
+between two pulses the speed departs by a few per cent from their rate. Where twice that rate is no limit, no spline is
+needed."""
+
+
 def default_harmonics(geometry: Geometry) -> int:
     """Return how many harmonics are reduced if nobody asks: whole multiples of the blades, at least two, at least 8.
 
@@ -44,13 +50,23 @@ def harmonics_within_band(run: Run, source: ResponseSource, harmonics: int, roto
     """Return how many harmonics of a rotor lie below half the sample rate of a run and within the measured response."""
     if run.sample_rate is None:
         return harmonics
+    highest = min(BELOW_NYQUIST * run.sample_rate / 2.0, highest_frequency(source))
+    if rotor == 1 and harmonics * FASTER_THAN_PULSES * _fastest_pulse_rate(run) < highest:
+        return harmonics
     try:
         azimuth = rotor_azimuth(run, rotor)
     except UserError:
         return harmonics  # the reduction reports it
     fastest = float(np.max(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 2048))))
-    highest = min(BELOW_NYQUIST * run.sample_rate / 2.0, highest_frequency(source))
     return max(1, min(harmonics, int(highest / fastest)))
+
+
+def _fastest_pulse_rate(run: Run) -> float:
+    """Return the rate [Hz] of the closest pulses, or the declared speed where that is higher; inf without pulses."""
+    if run.pulse_times is None or len(run.pulse_times) < 2:
+        return float("inf")
+    closest = float(np.min(np.diff(run.pulse_times)))
+    return max(1.0 / closest, run.rotor_speed) if closest > 0 else float("inf")
 
 
 def require_same_geometry(geometry: Geometry, calibration: Calibration, file: str = "") -> None:

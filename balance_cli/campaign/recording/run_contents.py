@@ -93,9 +93,10 @@ def _read_labels(file: h5py.File, name: str) -> LabelDataset | None:
 def _read_layout(file: h5py.File, name: str, units: str) -> DatasetLayout | None:
     """Read the layout of a dataset; `units` names the attribute that holds its unit or units."""
     try:
-        if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
+        link = file.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
             raise UserError("is in another file", place=name, remedy="Write it into this file")
-        dataset = file.get(name)
+        dataset = None if link is None else file.get(name)
     except (OSError, RuntimeError, LookupError) as error:
         fault = f"cannot be read: {' '.join(str(error).split())}"
         raise UserError(fault, place=name, remedy="Write it as a dataset, not as a link") from error
@@ -131,11 +132,12 @@ def _is_complete(dataset: h5py.Dataset, shape: tuple[int, ...]) -> bool:
 def _read_attributes(item: h5py.File | h5py.Dataset, names: Iterable[str]) -> dict[str, Any]:
     """Those of the named attributes that are there; ValueError where one is longer than any can be (a damaged file)."""
     values = {}
+    stored = item.attrs  # of a file, every call opens its root
     for name in names:
-        if name in item.attrs:
-            if math.prod(item.attrs.get_id(name).shape or ()) > MOST_ATTRIBUTE_ENTRIES:
+        if name in stored:
+            if math.prod(stored.get_id(name).shape or ()) > MOST_ATTRIBUTE_ENTRIES:
                 raise ValueError(f"attribute {name} claims too many entries")
-            values[name] = _native_value(item.attrs[name])
+            values[name] = _native_value(stored[name])
     return values
 
 
