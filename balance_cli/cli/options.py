@@ -166,7 +166,7 @@ def check_band(option: str, lowest: float, highest: float) -> None:
         raise UserError(fault, option, remedy="Give the lowest frequency first, then the highest")
 
 
-EXECUTION_OPTIONS = ("json_path", "verbose", "quiet", "strict", "jobs", "executor", "shard")
+EXECUTION_OPTIONS = ("json_path", "verbose", "quiet", "strict", "jobs", "executor", "shard", "survey")
 """Options of how a command is carried out and reported; results do not depend on them."""
 STORED_OPTION_NAMES = {"load_model": "loads-as"}
 """Names under which artefacts store options that were renamed later, so that digests stay."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from balance_cli.reduction.spectra_result import LoadSpectra, RunSpectra
 
 
-OTHER_WAYS = ("rotor", "method", "zero", "frequencies", "harmonics", "history", "jobs", "executor", "shard")
+OTHER_WAYS = ("rotor", "method", "zero", "frequencies", "harmonics", "history", "jobs", "executor", "shard", "survey")
 """Options that do not apply to spectra, which are reduced in one process."""
 
 

@@ -17,4 +17,5 @@ ARTEFACT_FORMATS = (CALIBRATION_FORMAT, TRANSFER_FORMAT, MODEL_FORMAT, DIAGNOSIS
 HISTORY_FORMAT = "balance-history/1"
 MATRIX_FORMAT = "balance-matrix/1"
 PLAN_FORMAT = "balance-plan/1"
+SURVEY_FORMAT = "balance-survey/1"
 IMPORT_FORMAT = "balance-import/1"

@@ -176,7 +176,7 @@ def mean_distances(
     lacking = np.einsum("bii,i->b", covariance.inverses, np.broadcast_to(floor, n)).real
     lacking = lacking * inverse_bias_factor(max(covariance.dof, n + 1), n)
     squared = squared + counts * lacking[covariance.nearest]
-    return np.maximum(squared / (n * np.maximum(counts, 1e-12)), 1e-300)
+    return np.asarray(np.maximum(squared / (n * np.maximum(counts, 1e-12)), 1e-300), float)
 
 
 def invert_pooled(covariance: ComplexArray) -> ComplexArray:

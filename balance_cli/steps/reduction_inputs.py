@@ -32,9 +32,8 @@ BLADE_MULTIPLES = 2
 
 
 FASTER_THAN_PULSES = 2.0
-"""Speed of the rotor over the rate of its closest pulses, at most: missing pulses lie farther apart than any others, and
-between two pulses the speed departs by a few per cent from their rate. Where twice that rate is no limit, no spline is
-needed."""
+"""Speed of the rotor over the rate of its closest pulses, at most: pulses beside a missing one lie farther apart, and
+between two pulses the speed departs by a few per cent from their rate. Within the band no spline is then needed."""
 
 
 def default_harmonics(geometry: Geometry) -> int:

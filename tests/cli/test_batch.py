@@ -135,6 +135,34 @@ def test_merged_shards_are_the_loads_of_one_call(folder, reference, tmp_path):
     assert digest(tmp_path / "l.h5") == reference
 
 
+def test_shards_share_the_survey_of_all_headers(folder, reference, tmp_path, monkeypatch):
+    """The second shard reads headers of runs that have changed only; a run of another name shows."""
+    surveyed = []
+    survey_run = batch_reduction.survey_run
+    monkeypatch.setattr(batch_reduction, "survey_run", lambda item: surveyed.append(item.path.name) or survey_run(item))
+    runs = [tmp_path / path.name for path in runs_of(folder)]
+    for path, run in zip(runs_of(folder), runs, strict=True):
+        run.write_bytes(path.read_bytes())
+    options = ("--survey", tmp_path / "runs.json", "--shard")
+    assert reduce(folder, tmp_path / "1.h5", *options, "1/2", runs=runs).exit_code == 0
+    assert len(surveyed) == COUNT
+    os.utime(runs[3])
+    assert reduce(folder, tmp_path / "2.h5", *options, "2/2", runs=runs).exit_code == 0
+    assert surveyed[COUNT:] == [runs[3].name]
+    merged = tmp_path / "merged.h5"
+    words = ["merge", str(tmp_path / "1.h5"), str(tmp_path / "2.h5"), "-o", str(merged)]
+    assert CliRunner().invoke(balance, words).exit_code == 0
+    assert digest(merged) == reference
+
+
+@pytest.mark.parametrize("text", ["name,value", "[1, 2]", '{"format": "balance-survey/1", "checksum": "", "runs": {}}'])
+def test_a_file_that_is_no_survey_is_not_overwritten(folder, tmp_path, text):
+    (tmp_path / "notes.txt").write_text(text)
+    done = reduce(folder, tmp_path / "l.csv", "--survey", tmp_path / "notes.txt", runs=runs_of(folder)[:1])
+    assert done.exit_code == 2 and "notes.txt" in done.stderr and "--survey" in done.stderr
+    assert (tmp_path / "notes.txt").read_text() == text
+
+
 def test_shards_of_two_reductions_are_not_merged(folder, tmp_path):
     assert reduce(folder, tmp_path / "1.h5", "--shard", "1/9").exit_code == 0
     assert reduce(folder, tmp_path / "2.h5", "--shard", "2/9", "--harmonics", "4").exit_code == 0
@@ -311,7 +339,7 @@ def test_bad_runs_of_a_store_are_named_by_their_url(folder, store, tmp_path):
 
 def test_a_journal_notices_that_a_file_of_a_store_has_changed(folder, store):
     path = Path(f"memory://batch/{runs_of(folder)[0].name}")
-    before = batch_journal._stamp(path)
-    assert batch_journal._stamp(path) == before != "absent"
+    before = batch_journal.file_stamp(path)
+    assert batch_journal.file_stamp(path) == before != "absent"
     store.pipe(f"/batch/{path.name}", b"something else")
-    assert batch_journal._stamp(path) not in (before, "absent")
+    assert batch_journal.file_stamp(path) not in (before, "absent")

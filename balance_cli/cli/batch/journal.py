@@ -56,7 +56,7 @@ class Journal(Generic[R]):
 
     def find(self, file: Path) -> R | None:
         """Return the result of a file that has not changed since; None where there is none."""
-        place = self._done.get(f"{file} {_stamp(file)}")
+        place = self._done.get(f"{file} {file_stamp(file)}")
         if place is None:
             return None
         position = self._file.tell()
@@ -69,7 +69,7 @@ class Journal(Generic[R]):
     def add(self, file: Path, result: R) -> None:
         """Keep the result of a file; it is with the system, and outlives this process, when the call returns."""
         if self.is_mine:
-            name = f"{file} {_stamp(file)}"
+            name = f"{file} {file_stamp(file)}"
             start = self._file.tell()
             length = self._write_line({"file": name, "result": _encode(to_tree(result))})
             self._done[name] = (start, length)
@@ -139,7 +139,7 @@ def _is_at(path: Path, file: BinaryIO) -> bool:
         return False
 
 
-def _stamp(file: Path) -> str:
+def file_stamp(file: Path) -> str:
     """Size and time of change of a file; a file that is not there has none, and is never found."""
     url = store_url(file)
     if url is not None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from balance_cli.cli.options import OutputFile
 from balance_cli.io.errors import UserError
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -20,7 +22,8 @@ class BatchOptions:
     """How a batch is done; nothing of it changes a result.
 
     `skip_bad`: the user expects bad runs, so that they do not change the exit status; `strict`: the first bad run ends
-    the call. `shard` (i, n): every n-th run, from the i-th on.
+    the call. `shard` (i, n): every n-th run, from the i-th on. `survey`:
+    the file in which what the headers of all runs state is kept for other calls.
     """
 
     skip_bad: bool = False
@@ -28,6 +31,7 @@ class BatchOptions:
     jobs: int = 1
     executor: str | None = None
     shard: tuple[int, int] | None = None
+    survey: Path | None = None
 
     def skips(self, count: int) -> bool:
         """Whether bad ones among `count` runs are skipped: where there are others, unless the user wants all or none.
@@ -82,5 +86,11 @@ _OPTIONS = (
         callback=parse_shard,
         metavar="I/N",
         help="Reduce every N-th run only, from the I-th on; `balance merge` puts the shards together.",
+    ),
+    click.option(
+        "--survey",
+        type=OutputFile(),
+        metavar="FILE",
+        help="Keep here what the headers of all runs state, for other shards: they read those of their own runs only.",
     ),
 )

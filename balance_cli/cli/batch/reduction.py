@@ -15,6 +15,7 @@ from balance_cli.campaign.recording.run_file import duplicate_run_error, open_ma
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.cli.batch.executors import batch_workers
 from balance_cli.cli.batch.journal import Journal, journal_path
+from balance_cli.cli.batch.kept_surveys import KeptSurveys
 from balance_cli.cli.batch.options import BatchOptions
 from balance_cli.cli.batch.ordered import WorkerPool, worker_pool
 from balance_cli.cli.batch.work import ROTOR_KINDS, Item, RunResult, RunSurvey, pickled, reduce_file, survey_run
@@ -78,19 +79,23 @@ class BatchReduction:
 
     def _survey(self, pool: WorkerPool, reduction: Reduction, paths: tuple[Path, ...]) -> None:
         """Learn the kind of every run, and require names to be unique."""
-        data = pickled(reduction)
+        inputs = [(item.role, item.digest) for item in self.session.provenance().inputs]
+        kept = KeptSurveys(self.options.survey, [inputs, reduction.method.rotor])
+        known, data = kept.find_all(paths), pickled(reduction)
+        results = pool.results(survey_run, (Item(path, data) for path in paths if path not in known))
         by_name: dict[str, Path] = {}
-        items = (Item(path, data) for path in paths)
-        for item, survey in self.session.progress(pool.results(survey_run, items), "reading", len(paths)):
+        for path in self.session.progress(paths, "reading", len(paths)):
+            survey = known.get(path) or next(results)[1]
             if not isinstance(survey, UserError):
-                first = by_name.setdefault(survey.name, item.path)
-                survey = survey if first is item.path else self._duplicate(reduction, item.path, first)
+                first = by_name.setdefault(survey.name, path)
+                survey = survey if first is path else self._duplicate(reduction, path, first)
             if isinstance(survey, UserError):
-                self._skip(item.path, survey)
+                self._skip(path, survey)
             else:
-                self.surveys[item.path] = survey
+                self.surveys[path] = survey
         if not self.surveys:
             raise self._all_skipped()
+        kept.keep(self.surveys)
         for survey in self.surveys.values():
             if survey.kind not in (*ROTOR_KINDS, "zero"):
                 self.session.report_left_out(survey.name, f"a {survey.kind} run contains no rotor loads")
