@@ -90,6 +90,7 @@ def make_examples(folder: Path) -> None:
     hold_out = ("--hold-out", folder / "check.run.h5")
     outputs = ("-o", folder / "diagnosis.h5", "--model-out", folder / "updated.h5")
     _call("diagnose", folder / "model.h5", *sweeps, *hold_out, *outputs)
+    _call("reduce", *_response(folder), folder / "wind.run.h5", "-o", folder / "wind-loads.h5")
     _write_point_table(folder / "static.run.h5", folder / "points.csv")
     write_recordings(folder)
 
@@ -132,6 +133,17 @@ def _calibrate(base: Path, bad: Path, out: Path) -> Words:
 
 def _report(base: Path, bad: Path, out: Path) -> Words:
     return ["report", bad, "-o", out / "o.html"]
+
+
+def _export(suffix: str) -> Callable[[Path, Path, Path], Words]:
+    return lambda base, bad, out: ["export", bad, "-o", out / f"o{suffix}"]
+
+
+def _reduce_by(option: str) -> Callable[[Path, Path, Path], Words]:
+    """Reduce the check run by a changed model or a changed transfer function."""
+    return lambda base, bad, out: [
+        *("reduce", "--calibration", base / "cal.h5", option, bad, base / "check.run.h5", "-o", out / "o.csv")
+    ]
 
 
 def _of_sweeps(command: str, *options: str) -> Callable[[Path, Path, Path], Words]:
@@ -205,10 +217,21 @@ READERS: dict[str, Reader] = {
             ],
         ),
     ),
-    "transfer": Reader("tf.h5", mutate_hdf5, (_check, _report)),
-    "model": Reader("model.h5", mutate_hdf5, (_check, _report)),
-    "diagnosis": Reader("diagnosis.h5", mutate_hdf5, (_check, _report)),
-    "loads": Reader("loads.h5", mutate_hdf5, (_check, _report)),
+    "transfer": Reader("tf.h5", mutate_hdf5, (_check, _report, _reduce_by("--transfer"), _export(".uff"))),
+    "model": Reader("model.h5", mutate_hdf5, (_check, _report, _reduce_by("--model"), _export(".csv"))),
+    "diagnosis": Reader("diagnosis.h5", mutate_hdf5, (_check, _report, _export(".csv"))),
+    "loads": Reader(
+        "loads.h5",
+        mutate_hdf5,
+        (
+            _check,
+            _report,
+            _export(".mat"),
+            lambda base, bad, out: ["merge", bad, base / "wind-loads.h5", "-o", out / "o.h5"],
+            lambda base, bad, out: ["trend", bad, base / "wind-loads.h5", "-o", out / "o.csv"],
+        ),
+    ),
+    "history": Reader("history.h5", mutate_hdf5, (_check, _export(".csv"), _export(".uff"))),
     "import map": Reader(
         "csv.map.yaml", mutate_yaml, (lambda base, bad, out: ["import", bad, base / "csv.csv", "-o", out / "runs"],)
     ),
