@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 MOST_CPU_TIME = 20
-"""[s] of processor time, from which a call counts as one that does not end: wall time says nothing on a busy machine."""
+"""[s] of processor time, from which a call counts as one that does not end: a busy machine takes longer."""
 MOST_WALL_TIME = 120.0
 """[s]. A call that waits uses no processor time; one that is ready and gets none, on a busy machine, goes on."""
 MOST_MEMORY = 2**30

@@ -1,13 +1,14 @@
 """Cross-checks of a campaign: mistakes are named, true effects and clean campaigns are not mistaken for them."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run import MemorySource, Run, pick_channels
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import geometry_faults
 from balance_cli.campaign.rig.geometry_file import load_geometry
@@ -100,6 +101,25 @@ def test_sweeps_of_loads_that_the_rig_does_not_feel_contradict_nothing() -> None
     )
     runs = simulate_campaign(true_rig(geometry), CampaignPlan(runs=sweeps), Noise(), 1).runs
     assert campaign_findings(geometry, runs) == ()
+
+
+def test_sums_of_cells_that_cancel_contradict_nothing() -> None:
+    # Both bridges read 7 % of what their cells feel of a vertical force, by errors of stiffness within the tolerance.
+    names = [f"z{i}.strain" for i in (1, 2, 3, 4)]
+    weights = {"pitch": (1.0, 1.0, -1.0, -1.0), "roll": (1.0, -1.0, -1.0, 1.0)}
+    content = rotor_balance().model_dump(mode="json")
+    content["channels"] = [
+        {"name": name, "cells": {f"z{i + 1}": w for i, w in enumerate(row)}, "sensitivity": 0.002, "lowpass": 90.0}
+        for name, row in weights.items()
+    ]
+    for cell, factor in zip(content["cells"][3:], (1.05, 0.93, 0.93, 1.08), strict=True):
+        cell["stiffness"] *= factor
+    runs = tuple(
+        replace(run, channel_names=tuple(weights), source=MemorySource(values, run.read().loads))
+        for run in campaign()
+        for values in [pick_channels(run.read().channels, run.channel_names, names) @ np.array([*weights.values()]).T]
+    )
+    assert campaign_findings(Geometry.model_validate(content), runs) == ()
 
 
 def test_what_a_command_measures_itself_is_no_fault_there() -> None:

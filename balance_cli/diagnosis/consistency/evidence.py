@@ -19,6 +19,7 @@ from balance_cli.signals.response_rows import ResponseRows, select_rows
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 LOW_FREQUENCY_SHARE = 0.5
 """Of the lowest computed natural frequency: up to there a response exceeds that at rest by a third at most, so that
@@ -37,7 +38,8 @@ class Evidence:
     """One run at its rows k, for c channels: `forces` (k, c) and `loads` (k, 6) as recorded.
 
     `gains` (k, c) are the volts per unit of force of each channel.
-    `computed` (l, c, 6) are the forces per load by the geometry at the rows `low` (k,), at which they are trusted.
+    `computed` (l, c, 6) are the forces per load by the geometry at the rows `low` (k,), at which they are trusted;
+    `computed_parts` (l, q, 6) those of the cells that each channel sums, and `part_channels` (q,) the channel of each.
     `reference` (k, c, 6) are those that other runs show, NaN where none does. `pairs` are indices of channels that
     read the same cell. Forces are in N, and torques divided by the size of the rig.
     """
@@ -48,6 +50,8 @@ class Evidence:
     gains: ComplexArray
     low: Bools
     computed: ComplexArray
+    computed_parts: ComplexArray
+    part_channels: Index
     reference: ComplexArray
     pairs: tuple[tuple[int, int], ...]
     geometry_error: float
@@ -68,6 +72,17 @@ class Evidence:
     def predicted(self) -> tuple[ComplexArray, ComplexArray]:
         """Forces (l, c) by the geometry and (k, c) by other runs, for the loads as recorded."""
         return predictions(self, self.loads)
+
+    @cached_property
+    def predicted_parts(self) -> Array:
+        """Sums (l, c) of the absolute forces that the cells of each channel have by the geometry, for the loads.
+
+        They are the forces that a channel reads, unless it sums cells whose forces cancel.
+        """
+        sizes = np.abs(_predict(self.computed_parts, self.loads[self.low]))
+        total = np.zeros((len(sizes), self.forces.shape[1]))
+        np.add.at(total.T, self.part_channels, sizes.T)
+        return total
 
 
 def natural_frequencies(system: System) -> Array:
@@ -113,8 +128,11 @@ def gather_evidence(rows: Sequence[ResponseRows], geometry: Geometry, system: Sy
         gains = channel_gains(system.equations.paths, run.frequency) * scale
         forces = _divide(run.channels, gains)
         computed = computed_forces(system, run.frequency[low], run.rotor_speed) / scale[:, None]
+        parts, part_channels = computed_parts(system, run.frequency[low], run.rotor_speed)
+        parts = parts / scale[part_channels, None]
         nothing = np.full((*forces.shape, 6), np.nan, complex)
-        runs.append(Evidence(run, forces, run.loads, gains, low, computed, nothing, pairs, error))
+        shown = (forces, run.loads, gains, low, computed, parts, part_channels, nothing)
+        runs.append(Evidence(run, *shown, pairs, error))
     return with_references(runs)
 
 
@@ -132,6 +150,25 @@ def _divide(values: ComplexArray, gains: ComplexArray) -> ComplexArray:
     """Return values over gains; NaN where a gain is zero, as that of a high-pass for a constant load."""
     usable = np.broadcast_to(np.abs(gains) > 0, values.shape)
     return np.asarray(np.divide(values, gains, out=np.full(values.shape, np.nan, complex), where=usable))
+
+
+def computed_parts(system: System, frequency: Array, spin: float) -> tuple[ComplexArray, Index]:
+    """Return the computed forces (l, q, 6) of the cells that the channels sum, times their weights, per unit load.
+
+    Second, the channel (q,) of each. Any other channel has one part: what it reads.
+    """
+    sums = {item.spring: item.weights for item in system.equations.sums}
+    parts = [
+        (channel, cell, weight)
+        for channel, spring in enumerate(system.springs_of_channels)
+        for cell, weight in sums.get(spring, {spring: 1.0}).items()
+    ]
+    channels, springs, weights = (np.array(column) for column in zip(*parts, strict=True))
+    if not len(frequency):
+        return np.zeros((0, len(channels), 6), complex), channels
+    distinct, place = np.unique(frequency, return_inverse=True)
+    forces = solve(system, distinct, spin).forces[:, springs] * weights[:, None]
+    return forces[place], channels
 
 
 def computed_forces(system: System, frequency: Array, spin: float) -> ComplexArray:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Cell, Geometry
-from balance_cli.diagnosis.consistency.evidence import Evidence, computed_forces, force_scale
+from balance_cli.diagnosis.consistency.evidence import Evidence, computed_forces, computed_parts, force_scale
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import System
 
@@ -38,6 +38,9 @@ STATIC_FREQUENCY = 1e-3
 LEAST_FELT = 1e-9
 """Force of a cell for a unit load over that for the load that it feels most, which rounding exceeds only where the load
 moves nothing."""
+LEAST_READ = 0.25
+"""Force that channels read for a load over the sum of the absolute forces of their cells, from which a response is
+compared: of what cancels in a sum, errors of stiffness that are usual leave more than is computed."""
 SMALLEST_RATIO = 4.0
 """Of stiffness over mass to what is declared, from which it is named as the cause; less has other causes, too."""
 SCALES = np.geomspace(1 / 50.0, 50.0, 57)
@@ -63,7 +66,7 @@ def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry, system: Sys
     """
     sweeps = [run for run in runs if run.rows.kind == "sweep" and len(run.applied) == 1]
     sweeps = [run for run in sweeps if len(run.rows.frequency) >= FEWEST_ROWS and run.loads[:, run.applied[0]].all()]
-    felt = _felt_components(system)
+    felt = _read_components(system)
     sweeps = [run for run in sweeps if run.applied[0] in felt]
     if not sweeps:
         return None
@@ -89,11 +92,17 @@ def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry, system: Sys
     return FrequencyMismatch(difference, float(ratio**2) if explained else None, (), names)
 
 
-def _felt_components(system: System) -> frozenset[int]:
-    """Return the load components that load a cell: a rig of few degrees of freedom does not feel all of them."""
-    forces = np.abs(computed_forces(system, np.array([STATIC_FREQUENCY]), 0.0)[0])
-    largest = forces.max(axis=0)
-    return frozenset(np.flatnonzero(largest > LEAST_FELT * largest.max(initial=0.0)).tolist())
+def _read_components(system: System) -> frozenset[int]:
+    """Return the load components that the channels read.
+
+    A rig of few degrees of freedom does not feel all of them; of others the forces cancel in each sum of cells.
+    """
+    at_rest = np.array([STATIC_FREQUENCY])
+    parts, _ = computed_parts(system, at_rest, 0.0)
+    felt = np.abs(parts[0])
+    read = np.linalg.norm(computed_forces(system, at_rest, 0.0)[0], axis=0)
+    is_felt = felt.max(axis=0) > LEAST_FELT * felt.max(initial=0.0)
+    return frozenset(np.flatnonzero(is_felt & (read > LEAST_READ * np.linalg.norm(felt, axis=0))).tolist())
 
 
 def _odd_cells(geometry: Geometry) -> list[tuple[str, ...]]:

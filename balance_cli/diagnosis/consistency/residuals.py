@@ -65,10 +65,11 @@ class Weights:
 
 def residual_weights(run: Evidence) -> Weights:
     """Return what the residuals of a run are divided by, from what is predicted for its recorded loads."""
-    by_geometry, by_runs = run.predicted
+    _, by_runs = run.predicted
     energy = np.nansum(np.abs(run.forces) ** 2, axis=0)
+    # Where the forces of summed cells cancel, the errors of their stiffness do not.
     return Weights(
-        run.geometry_error * _size(by_geometry[:, _has_channels(run.forces)]),
+        run.geometry_error * _size(run.predicted_parts[:, _has_channels(run.forces)]),
         (CHANNEL_ERROR if run.rows.kind == "sweep" else CHECK_ERROR)
         * _size(np.where(np.isfinite(run.forces), by_runs, np.nan)),
         CHANNEL_ERROR * np.sqrt(_pair_energies(energy, run.pairs)),
@@ -79,7 +80,7 @@ def _has_channels(forces: ComplexArray) -> Bools:
     return np.asarray(np.isfinite(forces).all(axis=0))
 
 
-def _size(predicted: ComplexArray) -> float:
+def _size(predicted: ComplexArray | Array) -> float:
     """Return the root of the summed squares of a channel of average size; infinite where nothing is predicted."""
     per_channel = np.nansum(np.abs(predicted) ** 2, axis=0)
     strong = per_channel[per_channel > 0]

@@ -187,7 +187,7 @@ class _Energies:
         lost, left = float(self.before[changed].sum()), float(self.after[changed].sum())
         if not lost > SIGNIFICANT or left > REMAINING_SHARE * lost:
             return False
-        if hypothesis.has_factor and left > LARGEST_MISFIT * float(self.nothing[changed].sum()):
+        if hypothesis.has_factor and left >= LARGEST_MISFIT * float(self.nothing[changed].sum()):
             return False
         pairs = (self.before - self.after)[:, 2 * self.channels :].sum()
         return bool(self.by_geometry.sum() > -SIGNIFICANT and pairs > -SIGNIFICANT)
