@@ -30,7 +30,7 @@ MEANINGS = {
     REDUNDANCY: "the redundant channels contradict them",
     EXTRAPOLATED: "mean loads lie outside the calibrated range",
     NOT_STEADY: "loads step or drift within the record",
-    UNMODELLED_LINE: "the channels have a line beside the reduced harmonics, and a note says whether it reaches them",
+    UNMODELLED_LINE: "the channels have a line beside these harmonics, or one above the highest",
     FILTER_CONTRADICTED: "the innovations contradict the filter",
     MODEL_CONTRADICTED: "the response misses its own data, or known loads, by more than a tenth of the load",
 }

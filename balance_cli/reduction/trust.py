@@ -39,6 +39,9 @@ MODEL_ERROR_SHARE = 0.1
 
 A hub load known to 10 % does not serve for a comparison of rotors; below, sigma tells enough.
 """
+LEAST_LEAK = 0.3
+"""What may leak into a load, over its standard deviation, that flags it: together they are 5 % larger than that. In the
+channel where the line is strongest it is so many times the noise, and so it is taken to be in the loads."""
 SMALLEST_NIS, LARGEST_NIS = 0.8, 1.25
 """Normalized innovation squared of a filter whose sigma is right to within 12 %."""
 LARGEST_AUTOCORRELATION = 0.03
@@ -53,8 +56,9 @@ does not grow with the length of the record.
 class Trust:
     """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model.
 
-    `confounded` are the harmonics beside which another rotor has a line; `pairs` the channels of one cell that
-    contradict each other, so that every load is rejected; `regressed` the highest harmonic of the regression.
+    `reached` (n+1, m) are the loads that one of the `lines` reaches; `confounded` the harmonics beside which another
+    rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
+    `regressed` is the highest harmonic of the regression.
     """
 
     untested: Mask
@@ -62,6 +66,7 @@ class Trust:
     contradicted: Mask
     rejected: Mask
     lines: tuple[UnmodelledLine, ...]
+    reached: Mask
     confounded: frozenset[int] = frozenset()
     pairs: tuple[PairContradiction, ...] = ()
     regressed: int = 0
@@ -84,7 +89,7 @@ class Trust:
             UNTESTED if self.untested[h, j] else "",
             REDUNDANCY if self.rejected[h, j] else "",
             NOT_STEADY if self.unsteady[h, j] else "",
-            UNMODELLED_LINE if (self.lines and h) or h in self.confounded else "",
+            UNMODELLED_LINE if self.reached[h, j] or h in self.confounded else "",
             MODEL_CONTRADICTED if self.contradicted[h, j] else "",
         )
 
@@ -116,18 +121,43 @@ def assess_trust(
     contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
     n = shape[0] - 1
     lines: tuple[UnmodelledLine, ...] = ()
-    regressed = 0
+    regressed, reached = 0, np.zeros(shape, bool)
     if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
         gain = _power_gain(record, source)
         lines = unmodelled_lines(
             record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain, record.other_rotors
         )
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
+        reached[1:] = _reached_loads(lines, record, regressed, solution, sigma[1:])
     unsteady = unsteady_loads(record, geometry, source, static, sigma)
     pairs = contradicted_pairs(record, geometry, source, response)
     rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
-    return Trust(untested, unsteady, contradicted, rejected, lines, shared, pairs, regressed)
+    return Trust(untested, unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed)
+
+
+def _reached_loads(
+    lines: tuple[UnmodelledLine, ...], record: RotorRecord, regressed: int, solution: SolvedLoads, sigma: Array
+) -> Mask:
+    """Which loads (n, m) stand beside a line, or may have a part of it that their `sigma` (n, m) does not cover.
+
+    A harmonic of the rotor that the regression contains reaches none: the highest row says that the loads go on above.
+    """
+    n, m = sigma.shape
+    first, last = record.spectra.revolutions
+    noise = np.sqrt(np.diagonal(solution.noise_covariance, axis1=1, axis2=2)).reshape(n, 2, m).max(axis=1)
+    reached = np.zeros((n, m), bool)
+    for line in lines:
+        if line.turns_with_rotor and line.order <= regressed:
+            reached[n - 1] = True
+            continue
+        # Of a tone at a distance, in periods over the record, a regression by harmonics keeps a share below 1/(pi d).
+        periods = np.maximum(np.abs(line.order - np.arange(1, n + 1)) * (last - first), 1.0 / np.pi)
+        (column,) = record.spectra.columns((line.channel,))
+        sigma_channel = np.sqrt(record.spectra.covariance[1:, column, column].real)
+        leak = line.amplitude / (np.pi * periods * sigma_channel)
+        reached |= leak[:, None] * noise > LEAST_LEAK * sigma
+    return reached
 
 
 def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array], Array] | None:
