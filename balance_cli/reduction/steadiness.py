@@ -38,6 +38,9 @@ mean by less than an eighth of itself."""
 SLOW_MODE_CORRELATION = 0.9
 """Correlation of neighboring windows from which the slowest mode may be slower than a window: it then shakes the means
 of windows, too, which average faster modes out."""
+LEAST_NOISE = 1e-6
+"""Of the noise of the noisiest row: with less, as of a coarse converter that repeats itself in each revolution, normal
+equations would see no other row."""
 START_UP_SHARE = 0.03
 """Departure of the rotor speed of a window from that of the interval by which a record begins with a start-up."""
 
@@ -150,6 +153,7 @@ def _harmonic_loads(
     live = record.spectra.columns(record.health.live)
     noise = np.einsum("hcc->hc", record.spectra.covariance[1:][:, live][:, :, live]).real
     sigma = np.sqrt(np.einsum("krc,kc->kr", np.abs(filtered) ** 2, np.tile(noise, (count, 1))))
+    sigma = np.maximum(sigma, LEAST_NOISE * sigma.max(axis=1, keepdims=True))
     solved = _least_squares(T / sigma[:, :, None], y / sigma)
     return np.asarray(solved.reshape(count, len(orders), -1))
 

@@ -12,6 +12,7 @@ from balance_cli.reduction.harmonic_loads import harmonic_loads, rotor_record
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
+from balance_cli.signals.rotor.other_rotors import rotor_azimuth
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from tests.support.channels import with_channel
@@ -77,6 +78,21 @@ def test_a_line_above_the_reduced_harmonics_flags_the_row_below_it(campaign, cal
     more = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=ReduceOptions(8))
     np.testing.assert_allclose(found.amplitude, more.amplitude[:4], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.sigma_cosine[1:], more.sigma_cosine[1:4], rtol=0.05)
+
+
+def test_a_channel_without_noise_is_contradicted_by_the_others(campaign, calibration, identified, check):
+    """As of a coarse converter that repeats itself in each revolution."""
+    azimuth = rotor_azimuth(check, 1)
+
+    def repeat(volts):
+        time = np.arange(len(volts)) / check.sample_rate
+        psi = np.where(np.isfinite(azimuth.psi(time)), azimuth.psi(time), 2 * np.pi * check.rotor_speed * time)
+        return np.round(sum(0.1 * np.cos(n * psi + n**2) for n in range(1, 9)), 1)
+
+    found = reduce_run(
+        with_channel(check, "z1.strain", repeat), campaign.geometry, calibration, model_source(identified)
+    )
+    assert all("redundancy" in flag for row in found.flags[1:] for flag in row)
 
 
 def test_a_model_that_its_own_data_contradict_states_errors_that_cover(campaign, calibration, check):
