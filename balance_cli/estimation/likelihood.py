@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
-from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
-from balance_cli.estimation.channel_distortions import RunDistortions, channel_distortions
+from balance_cli.estimation.cell_forces import RunCellForces
+from balance_cli.estimation.channel_distortions import RunDistortions
 from balance_cli.estimation.inner_products import MANY_PARAMETERS, information_product, real_inner_product
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones, tones_information
+from balance_cli.estimation.prediction import BatchPrediction, predict_batch
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.estimation.transients import (
@@ -90,19 +91,16 @@ def evaluate_batch(
     With `derivatives` the nonlinear forces and the transients come with theirs. `shared`: with other runs.
     """
     shared = SharedSolutions(system) if shared is None else shared
-    columns = recorded_load_columns(batch, system, solution)
-    distortions = channel_distortions(batch, system, derivatives)
-    nonlinear: list[RunCellForces | RunDistortions] = [
-        *cell_forces(batch, system, solution, derivatives, shared),
-        *distortions,
-    ]
-    loads = _subtract_load_offset(batch, system)
-    residual = batch.lines.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
-    if np.any(system.equations.channel_offset.value):
-        residual -= batch.lines.constant_volts[:, None] * system.equations.channel_offset.value
-    for run in nonlinear:
-        residual[run.lines] -= run.volts(system)
-    precision, load_influence = _eliminate_loads(batch, columns)
+    prediction = predict_batch(batch, system, solution, derivatives, shared)
+    return evaluate_prediction(batch, system, prediction, derivatives, shared)
+
+
+def evaluate_prediction(
+    batch: Batch, system: System, prediction: BatchPrediction, derivatives: bool, shared: SharedSolutions
+) -> BatchEvaluation:
+    """The same from the prediction of the lines, which batches with other precisions share."""
+    loads, residual = prediction.loads, prediction.residual.copy()
+    precision, load_influence = _eliminate_loads(batch, prediction.columns)
 
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
         return np.asarray(np.matmul(precision[lines], values), complex)
@@ -119,16 +117,7 @@ def evaluate_batch(
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         loads = loads + np.matmul(load_influence, residual[:, :, None])[:, :, 0]
     six_loads = _expand_to_six_components(batch, loads)
-    return BatchEvaluation(six_loads, weighted, residual, chi2, precision, transients, tuple(nonlinear), tones)
-
-
-def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
-    """The measured loads (K, u) without the offsets of the force cells."""
-    if not np.any(system.equations.load_offset.value):
-        return batch.lines.loads
-    return np.asarray(
-        batch.lines.loads - batch.lines.constant_loads * system.equations.load_offset.value[batch.lines.components]
-    )
+    return BatchEvaluation(six_loads, weighted, residual, chi2, precision, transients, prediction.nonlinear, tones)
 
 
 def _eliminate_loads(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray | None]:

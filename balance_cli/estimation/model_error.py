@@ -20,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import WORKERS, Batch
-from balance_cli.estimation.likelihood import evaluate_batch
+from balance_cli.estimation.likelihood import evaluate_prediction
+from balance_cli.estimation.prediction import BatchPrediction, predict_batch
+from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.system import System
-from balance_cli.model.system_response import Solution, solve
+from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -127,13 +129,14 @@ def estimate_model_error(
     """
     names = [name for batch in batches for name in batch.run_names]
     dof = np.concatenate([np.bincount(batch.lines.run, batch.lines.count, len(batch.run_names)) for batch in batches])
-    solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
-    misfits = _run_chi2(batches, system, solutions) > dof + sigma_limit * _chi2_sigma(batches, dof)
+    shared = SharedSolutions(system)
+    predictions = [_predict(batch, system, shared) for batch in batches]
+    misfits = _run_chi2(batches, system, predictions, shared) > dof + sigma_limit * _chi2_sigma(batches, dof)
     relative_errors = np.array([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
     powers = [local_response_power(batch) for batch in batches] if misfits.any() else []
     for _ in range(ITERATIONS if misfits.any() else 0):
         trial = dict(zip(names, np.where(misfits, relative_errors, 0.0).tolist(), strict=True))
-        ratio = np.sqrt(_run_chi2(_add_errors(batches, trial, powers), system, solutions) / dof)
+        ratio = np.sqrt(_run_chi2(_add_errors(batches, trial, powers), system, predictions, shared) / dof)
         relative_errors = np.clip(relative_errors * ratio, MIN_RELATIVE_ERROR, MAX_RELATIVE_ERROR)
         if np.all(np.abs(ratio[misfits] - 1.0) < CONVERGENCE_TOLERANCE):
             break
@@ -151,12 +154,19 @@ def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
     return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(noise_dof))))
 
 
-def _run_chi2(batches: Sequence[Batch], system: System, solutions: Sequence[Solution]) -> Array:
-    """Chi-square of every run, in the order of the batches."""
+def _predict(batch: Batch, system: System, shared: SharedSolutions) -> BatchPrediction:
+    solution = solve(system, batch.frequency, batch.spin)
+    return predict_batch(batch, system, solution, derivatives=False, shared=shared)
 
-    def batch_chi2(batch: Batch, solution: Solution) -> Array:
-        fit = evaluate_batch(batch, system, solution)
+
+def _run_chi2(
+    batches: Sequence[Batch], system: System, predictions: Sequence[BatchPrediction], shared: SharedSolutions
+) -> Array:
+    """Chi-square of every run, in the order of the batches; the predictions do not depend on the weights."""
+
+    def batch_chi2(batch: Batch, prediction: BatchPrediction) -> Array:
+        fit = evaluate_prediction(batch, system, prediction, derivatives=False, shared=shared)
         return np.asarray(np.bincount(batch.lines.run, fit.chi2 / batch.lines.efficiency, len(batch.run_names)), float)
 
     with ThreadPoolExecutor(WORKERS) as workers:
-        return np.concatenate(list(workers.map(batch_chi2, batches, solutions)))
+        return np.concatenate(list(workers.map(batch_chi2, batches, predictions)))
