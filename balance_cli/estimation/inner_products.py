@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +31,7 @@ def real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
 
 def _real_pairs(values: ComplexArray) -> Array:
     """Columns (n, q) as (n, 2q), real and imaginary parts in turn; a view where the columns are contiguous."""
-    return np.ascontiguousarray(values).reshape(-1, values.shape[-1]).view(np.float64)
+    return np.ascontiguousarray(values).reshape(math.prod(values.shape[:-1]), values.shape[-1]).view(np.float64)
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,12 @@ class ParameterChannels:
     channel: Index
     first: Index
 
+    def by_channel(self) -> Iterator[tuple[int, Index]]:
+        """Each channel with the parameters that show in it alone, where there are any."""
+        for channel, (start, stop) in enumerate(zip(self.first[:-1], self.first[1:], strict=True)):
+            if start < stop:
+                yield channel, self.single[start:stop]
+
 
 def parameter_channels(derivatives: ComplexArray) -> ParameterChannels:
     """Return where the parameters of derivatives (K, c, p) show; those that show nowhere are left out."""
@@ -54,6 +62,27 @@ def parameter_channels(derivatives: ComplexArray) -> ParameterChannels:
     order = np.argsort(channel, kind="stable")
     first = np.searchsorted(channel[order], np.arange(len(shown) + 1))
     return ParameterChannels(np.flatnonzero(count > 1), single[order], channel[order], first)
+
+
+def product_with_derivatives(left: ComplexArray, derivatives: ComplexArray, shown: ParameterChannels) -> Array:
+    """Re sum over lines and channels of left* dY, (K, c, a) and (K, c, p): (a, p)."""
+    product = np.zeros((left.shape[2], derivatives.shape[2]))
+    product[:, shown.wide] = real_inner_product(left, derivatives[:, :, shown.wide])
+    for channel, own in shown.by_channel():
+        product[:, own] = real_inner_product(left[:, channel], derivatives[:, channel, own])
+    return product
+
+
+def weighted_squares(derivatives: ComplexArray, precision: ComplexArray, shown: ParameterChannels) -> Array:
+    """The diagonal (p,) of `information_product`."""
+    squares = np.zeros(derivatives.shape[2])
+    of_wide = derivatives[:, :, shown.wide]
+    weighted = precision @ of_wide
+    squares[shown.wide] = np.sum(of_wide.real * weighted.real + of_wide.imag * weighted.imag, axis=(0, 1))
+    for channel, own in shown.by_channel():
+        part = derivatives[:, channel, own]
+        squares[own] = precision[:, channel, channel].real @ (part.real**2 + part.imag**2)
+    return squares
 
 
 def information_product(derivatives: ComplexArray, precision: ComplexArray) -> Array:

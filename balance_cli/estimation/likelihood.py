@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,15 @@ from numpy.typing import NDArray
 from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces
 from balance_cli.estimation.channel_distortions import RunDistortions
-from balance_cli.estimation.inner_products import MANY_PARAMETERS, information_product, real_inner_product
+from balance_cli.estimation.inner_products import (
+    MANY_PARAMETERS,
+    ParameterChannels,
+    information_product,
+    parameter_channels,
+    product_with_derivatives,
+    real_inner_product,
+    weighted_squares,
+)
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones, tones_information
 from balance_cli.estimation.prediction import BatchPrediction, predict_batch
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
@@ -197,36 +206,45 @@ class BatchDerivatives:
         """The terms of the information that the derivatives do not give."""
         return (*self.transient_terms, *self.tone_terms)
 
-    def weighted(self) -> ComplexArray:
-        """P dY (K, c, p), with the true loads eliminated."""
-        return np.asarray(np.matmul(self.fit.precision, self.derivatives), complex)
+    @cached_property
+    def _shown(self) -> ParameterChannels:
+        """Where the parameters show."""
+        return parameter_channels(self.derivatives)
 
-    def information(self, weighted: ComplexArray, rows: Index | slice, columns: Index | slice) -> Array:
-        """The part (rows, columns) of 2 Re sum dY* P dY."""
-        information = 2.0 * real_inner_product(self.derivatives[:, :, rows], weighted[:, :, columns])
+    def weighted(self, columns: Index | slice = slice(None)) -> ComplexArray:
+        """P dY (K, c, q) of the selected parameters, with the true loads eliminated."""
+        return np.asarray(np.matmul(self.fit.precision, self.derivatives[:, :, columns]), complex)
+
+    def cross_information(self, rows: Index) -> Array:
+        """The rows (f, p) of 2 Re sum dY* P dY."""
+        information = 2.0 * product_with_derivatives(self.weighted(rows), self.derivatives, self._shown)
         for term in self._further_terms:
-            information = information + term.information(rows, columns)
-        return np.asarray(information)
+            information += term.information(rows, slice(None))
+        return information
 
     def full_information(self) -> Array:
         """2 Re sum dY* P dY (p, p)."""
         every = slice(None)
         if self.derivatives.shape[2] < MANY_PARAMETERS:
-            return self.information(self.weighted(), every, every)
+            return self._block(every)
         information = 2.0 * information_product(self.derivatives, self.fit.precision)
         for term in self.transient_terms:
             information += term.information(every, every)
         return information + tones_information(self.tone_terms) if self.tone_terms else information
 
-    def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
+    def diagonal_blocks(self, blocks: Sequence[Index]) -> list[Array]:
         """The information of each block of parameters; those of a single parameter, which are many, all at once."""
-        diagonal = 2.0 * np.sum(
-            self.derivatives.real * weighted.real + self.derivatives.imag * weighted.imag, axis=(0, 1)
-        )
+        diagonal = 2.0 * weighted_squares(self.derivatives, self.fit.precision, self._shown)
         for term in self._further_terms:
-            diagonal = diagonal + term.diagonal()
-        of_blocks = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
-        return [of_blocks[i] if i in of_blocks else diagonal[block][:, None] for i, block in enumerate(blocks)]
+            diagonal += term.diagonal()
+        return [self._block(block) if len(block) > 1 else diagonal[block][:, None] for block in blocks]
+
+    def _block(self, own: Index | slice) -> Array:
+        """The information (q, q) of some parameters."""
+        information = 2.0 * real_inner_product(self.derivatives[:, :, own], self.weighted(own))
+        for term in self._further_terms:
+            information = information + term.information(own, own)
+        return np.asarray(information)
 
 
 def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | None = None) -> BatchDerivatives:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,17 +199,20 @@ def mains_tones(
         sampled = _sampled_waveform(batch, run)
         if sampled is None:
             continue
+        columns_of = cache(partial(tone_columns, *sampled))  # each channel may have a tone of the same frequency
         for interference in system.equations.interference_tones:
             transient = by_start.get(lines.start)
             form = LikelihoodForm(lines, apply_weight, transient)
-            tone = _fit_tone(*sampled, interference, residual[lines], form)
+            tone = _fit_tone(columns_of(float(interference.frequency.value)), interference, residual[lines], form)
             if tone is None:
+                continue
+            tones.append(tone)
+            if tone.power == 0.0:  # nothing is expected
                 continue
             residual[lines] -= tone.columns @ tone.expected
             if transient is not None:
                 correction = transient.solve(form.transient_products(tone.columns) @ tone.expected)
                 by_start[lines.start] = replace(transient, x=transient.x - correction)
-            tones.append(tone)
     return tuple(tones), tuple(by_start[transient.lines.start] for transient in transients)
 
 
@@ -222,20 +226,23 @@ def _sampled_waveform(batch: Batch, run: int) -> tuple[Waveform, BinSampling] | 
 
 
 def _fit_tone(
-    waveform: Waveform,
-    sampling: BinSampling,
+    lines_and_derivatives: tuple[ComplexArray, ComplexArray],
     interference: InterferenceTone,
     residual: ComplexArray,
     form: LikelihoodForm,
 ) -> MainsTone | None:
-    """The tone in one run with residual (k, c); None where none of its lines is sensitive to it."""
-    column, derivative = tone_columns(waveform, sampling, float(interference.frequency.value))
+    """The tone in one run with residual (k, c), from its lines (k, 2) in its channel and their derivatives by f.
+
+    None where no line is sensitive to it.
+    """
+    column, derivative = lines_and_derivatives
     channel = np.eye(residual.shape[1])[interference.channel][:, None]
     columns, derivatives = column[:, None, :] * channel, derivative[:, None, :] * channel
-    n = 0.5 * float(np.trace(form(columns, columns)))
+    weighted = form.weighted(columns)
+    n = float(np.sum(np.real(weighted.conj() * columns.reshape(weighted.shape))))
     if n <= 0.0:
         return None
-    b = form(columns, residual[:, :, None])[:, 0]
+    b = 2.0 * np.real(weighted.conj().T @ residual.reshape(-1))
     fit = MainsTone(interference, form, columns, derivatives, n, b, np.zeros(2))
     unit = b / max(fit.magnitude, TINY)
     return replace(fit, expected=np.sqrt(fit.power) * fit.mean_resultant_length * unit)

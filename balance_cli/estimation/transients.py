@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,12 +250,16 @@ class TransientTerms:
     def information(self, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of what is added to the information."""
         of_bound = np.real(self.bound[:, rows].conj().T @ self.bound[:, columns])
-        return np.asarray(of_bound - self.cross[:, rows].T @ _solve_scaled(self.normal, self.cross[:, columns]))
+        return np.asarray(of_bound - self.cross[:, rows].T @ self._amplitudes[:, columns])
 
     def diagonal(self) -> Array:
         """The diagonal (p,) of what is added to the information."""
-        amplitudes = _solve_scaled(self.normal, self.cross)
-        return np.asarray(np.sum(np.abs(self.bound) ** 2, axis=0) - np.sum(self.cross * amplitudes, axis=0))
+        return np.asarray(np.sum(np.abs(self.bound) ** 2, axis=0) - np.sum(self.cross * self._amplitudes, axis=0))
+
+    @cached_property
+    def _amplitudes(self) -> Array:
+        """N^-1 X (q, p), which several parts of the information need."""
+        return _solve_scaled(self.normal, self.cross)
 
 
 def eliminate_transient(fit: RunTransient, derivatives: ComplexArray) -> TransientTerms:

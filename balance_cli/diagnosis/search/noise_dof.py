@@ -44,10 +44,9 @@ class RunInformation:
         cls, batch: Batch, derivatives: BatchDerivatives, fitted: Index, tested: Sequence[Index]
     ) -> RunInformation:
         """Return the information of a batch of one run."""
-        weighted = derivatives.weighted()
-        blocks = tuple(derivatives.diagonal_blocks(weighted, tested))
-        cross = derivatives.information(weighted, fitted, slice(None))
-        return cls(batch, derivatives.gradient(), cross, blocks, weighted if batch.runs[0].noise_parts else None)
+        blocks, cross = tuple(derivatives.diagonal_blocks(tested)), derivatives.cross_information(fitted)
+        weighted = derivatives.weighted() if batch.runs[0].noise_parts else None
+        return cls(batch, derivatives.gradient(), cross, blocks, weighted)
 
     def variance(self, fitted: Index, tested: Index, projection: Array) -> Array:
         """Return the run's contribution (n,) to the variance of each score.
