@@ -62,6 +62,14 @@ class SuspectLoadSeries:
     cause: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
+@dataclass(frozen=True)
+class _SeriesCheck:
+    """A load series against the others: its suspect channels, and those whose terms the others do not tell."""
+
+    suspects: list[SuspectLoadSeries]
+    unpredicted: frozenset[str]
+
+
 def exclude_suspect_series(
     points: CalibrationPoints, choice: TermChoice
 ) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
@@ -98,14 +106,15 @@ def _worst_series(
     unexplained = _find_suspect_series(points, fit)
     if not unexplained:
         return None
-    by_linear_fit = _find_suspect_series(points, linear_fit)
     candidates = {
         name: suspect_channels
-        for name, suspect_channels in by_linear_fit.items()
+        for name, check in _find_suspect_series(points, linear_fit).items()
         if name in unexplained
-        and suspect_channels
+        and (suspect_channels := _unexplained_channels(points, (load_series == name) & used, check, unexplained[name]))
         # Not known by the others, as a product of its loads is only told by itself.
-        and (unexplained[name] or not _own_products(points, fit, (load_series == name) & used, suspect_channels))
+        and (
+            unexplained[name].suspects or not _own_products(points, fit, (load_series == name) & used, suspect_channels)
+        )
     }
     if not candidates:
         return None
@@ -117,22 +126,43 @@ def _worst_series(
     return (load_series == worst) & used, [replace(suspect, alternatives=alternatives) for suspect in candidates[worst]]
 
 
+def _unexplained_channels(
+    points: CalibrationPoints, rows: NDArray[np.bool_], linear: _SeriesCheck, selected: _SeriesCheck
+) -> list[SuspectLoadSeries]:
+    """The suspects of the linear fit that the selected terms do not explain.
+
+    Where the other load series do not tell the terms of a channel, what nonlinearity causes is not held against it.
+    """
+    deviating = {suspect.channel for suspect in selected.suspects}
+    used = points.load_series[points.weight > 0]
+    series = [points.channels[(points.load_series == name) & (points.weight > 0)] for name in np.unique(used)]
+    largest_change = np.max([np.ptp(readings, axis=0) for readings in series], axis=0)
+    share = np.ptp(points.channels[rows], axis=0) / np.maximum(largest_change, np.finfo(float).tiny)
+    held = []
+    for suspect in linear.suspects:
+        is_beyond_terms = abs(suspect.gain - 1.0) * share[points.channel_names.index(suspect.channel)] > MIN_GAIN_ERROR
+        if suspect.channel in deviating or (suspect.channel in selected.unpredicted and is_beyond_terms):
+            held.append(suspect)
+    return held
+
+
 def _own_products(
     points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], deviating: Sequence[SuspectLoadSeries]
 ) -> dict[str, float]:
     return explaining_products(points, fit, rows, [suspect.channel for suspect in deviating])
 
 
-def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:
-    """Suspect channels by load series; an empty list where the other series do not predict a load series."""
+def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, _SeriesCheck]:
+    """Suspect and unpredicted channels of the load series that have any."""
     load_series, used = points.load_series, points.weight > 0
     by_series = {}
     for name, description in _series_names(np.unique(load_series[used]), fit):
         rows = (load_series == name) & used
-        known = bool(np.isfinite(fit.cross_validation_errors[rows]).all())
-        channels = _suspect_channels(points, fit, rows, description) if known else []
-        if channels or not known:
-            by_series[name] = channels
+        known = np.isfinite(fit.cross_validation_errors[rows]).all(axis=0)
+        unpredicted = frozenset(np.array(points.channel_names)[~known].tolist())
+        suspects = _suspect_channels(points, fit, rows, description, known) if known.any() else []
+        if suspects or unpredicted:
+            by_series[name] = _SeriesCheck(suspects, unpredicted)
     return by_series
 
 
@@ -148,18 +178,22 @@ def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_])
 
 
 def _suspect_channels(
-    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], description: str
+    points: CalibrationPoints,
+    fit: CalibrationModelFit,
+    rows: NDArray[np.bool_],
+    description: str,
+    known: NDArray[np.bool_],
 ) -> list[SuspectLoadSeries]:
-    """Suspect channels in the rows of one load series."""
+    """Suspect channels in the rows of one load series, among the `known` (c,), which the others predict."""
     change = points.channels[rows] - points.channels[rows].mean(axis=0)
-    errors = fit.cross_validation_errors[rows]
+    errors = np.where(known, fit.cross_validation_errors[rows], change)  # a prediction of no change has no gain
     predicted = change - (errors - errors.mean(axis=0))
     noise = robust_sigma(fit.cross_validation_errors)
     # The misfit of a linear model follows the load: it does not average out over the rows.
     sigma = noise / np.sqrt(np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny))
     if not any(_check_channel_gain(c, change, predicted, sigma, points.channel_names, "") for c in range(len(sigma))):
         return []
-    sigma = np.hypot(sigma, _prediction_gain_sigma(points, fit, rows, predicted))
+    sigma = np.hypot(sigma, _prediction_gain_sigma(points, fit, rows, predicted, known))
     suspect_channels = (
         _check_channel_gain(c, change, predicted, sigma, points.channel_names, description) for c in range(len(sigma))
     )
@@ -167,7 +201,11 @@ def _suspect_channels(
 
 
 def _prediction_gain_sigma(
-    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], predicted: Array
+    points: CalibrationPoints,
+    fit: CalibrationModelFit,
+    rows: NDArray[np.bool_],
+    predicted: Array,
+    known: NDArray[np.bool_],
 ) -> Array:
     """Standard deviation (c,) of the gains in some rows that is due to the errors of their prediction (r, c).
 
@@ -175,7 +213,9 @@ def _prediction_gain_sigma(
     their coefficients b are then those of the prediction: gain = p'y / p'p has the derivative p'X / p'p with respect
     to b.
     """
-    model = refit_terms(points.exclude_rows(rows), fit.model).model
+    is_told = known | (np.arange(len(fit.model.t)) < len(points.components))[:, None]
+    told = replace(fit.model, t=np.where(is_told, fit.model.t, np.nan))
+    model = refit_terms(points.exclude_rows(rows), told).model
     X = term_values(model.parsed_terms, points.loads[rows] / model.calibrated_range)
     derivative = predicted.T @ X / np.maximum(np.sum(predicted**2, axis=0), np.finfo(float).tiny)[:, None]
     variance = np.einsum("cp,cpq,cq->c", derivative, model.covariance, derivative)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
-from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.outliers import _include_predicted_rows, screen_outliers
 from balance_cli.calibration.suspect_series import _find_suspect_series, find_swapped_channels
 from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
@@ -47,8 +47,30 @@ def test_curved_terms_are_no_fault_of_the_sequences_they_show_in():
     """By the loads alone many sequences are off; the terms explain them."""
     points = stand_points()
     straight = fit_calibration_model(points, choice=LINEAR_TERMS)
-    assert any(_find_suspect_series(points, straight).values())
+    assert any(check.suspects for check in _find_suspect_series(points, straight).values())
     assert screen_outliers(points).suspect_series == ()
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.0, set()), (1.03, {"My"})])
+def test_terms_of_one_channel_that_a_single_series_tells_are_no_fault_of_the_others(factor, named):
+    """Each direction is a series: without it nothing tells |Fx| of the first channel, nor then anything of the second.
+
+    The curvature of the second is 5 % of its small response. A wrong gain of 3 % beside it is a fault.
+    """
+    up = np.r_[0.0, np.arange(1, 6), np.arange(4, 0, -1)] / 5.0
+    loads = np.vstack([np.outer(sign * up, np.eye(3)[j]) for j in range(3) for sign in (1.0, -1.0)])
+    series, rng = np.repeat(np.arange(6), len(up)), np.random.default_rng(8)
+    read = loads @ np.array([[1.0, 0.1, 0.3], [-0.2, 1.0, 0.1], [0.1, 0.4, 1.0]])
+    read += np.c_[0.003 * np.abs(loads[:, 0]), 0.005 * loads[:, 0] ** 2, np.zeros(len(loads))]
+    read[series == 5, 2] *= factor
+    read += 1e-2 * rng.normal(size=(6, 3))[series] + 1e-4 * rng.normal(size=read.shape)
+    rows, names = len(loads), ("a", "b", "c")
+    points = CalibrationPoints(
+        names, ("Fx", "Fz", "My"), ("s",), read, loads, np.zeros(rows, int), np.ones(rows), np.ones(3)
+    )
+    found = screen_outliers(points)
+    assert {each.load_series.split("(")[1].rstrip(")") for each in found.suspect_series} == named
+    assert "|Fx|" in found.fit.model.channel_coefficients("a")
 
 
 def test_an_outlier_is_named_with_its_row_and_channel():
