@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -115,6 +116,7 @@ def open_static_runs(
     from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps, gap_summary
     from balance_cli.campaign.recording.load_table import is_point_table, runs_of_table
 
+    reading = replace(reading, allow_missing=True)
     paths, used = tuple(paths), tuple(disjoint_from)
     files = [path for path in paths if not is_point_table(path)]
     runs = list(session.runs(files, geometry, skip_bad, role, used)) if files else []
@@ -136,6 +138,8 @@ def open_table(session: Session, path: Path, geometry: Geometry, reading: TableR
     from balance_cli.campaign.recording.load_table import read_load_table
 
     table = read_load_table(path, geometry, reading)
+    if table.other_rows:
+        session.warn(f"{path}: no load points, left out: {table.other_rows}")
     if table.unused:
         session.warn(f"{path}: columns not used: {', '.join(table.unused)}")
     session.record_input(path.name, role, table.digest)

@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 
 from balance_cli.importers.base import TextLayout
-from balance_cli.importers.text_numbers import is_missing, is_number
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_cells import REMARKS
+from balance_cli.io.text_numbers import is_missing, is_number
 from balance_cli.io.units import is_unit, split_unit
 
 UNIT_SHARE = 0.5

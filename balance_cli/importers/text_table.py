@@ -14,7 +14,9 @@ import numpy as np
 from balance_cli.importers.base import Array, damaged
 from balance_cli.importers.text_clock import seconds_of_clock
 from balance_cli.importers.text_layout import Columns, split_cells
-from balance_cli.importers.text_numbers import (
+from balance_cli.importers.text_rows import INDEXED_ROWS, Rows
+from balance_cli.io.errors import UserError
+from balance_cli.io.text_numbers import (
     MISSING_WORDS,
     fillers_as_missing,
     is_missing,
@@ -22,8 +24,6 @@ from balance_cli.importers.text_numbers import (
     without_fortran_exponents,
     without_group_signs,
 )
-from balance_cli.importers.text_rows import INDEXED_ROWS, Rows
-from balance_cli.io.errors import UserError
 
 NEWLINE = b"\n"
 LINE_ENDS = (b"\n", b"\r\n")

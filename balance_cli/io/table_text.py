@@ -2,7 +2,8 @@
 
 The separator is a tab, `;`, `|`, a comma or white space, whichever splits the lines into the same number of columns.
 Lines that begin with `#`, `%` or `//` are comments. The head is the line above the first line of numbers; a line of
-units may stand between them. Lines above the head are titles. A head that is repeated within the table is left out.
+units, or the heading of a block, may stand between them. Lines above the head are titles. A head that is repeated
+within the table is left out; so are lines without numbers, and rows of statistics, which are listed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
+from balance_cli.io.table_rows import separate_rows
 from balance_cli.io.text_cells import SEPARATORS, find_encoding, is_remark, require_no_workbook
+from balance_cli.io.text_numbers import fillers_as_missing, is_grouped, is_missing
 from balance_cli.io.units import is_unit
 
 Array = NDArray[np.float64]
@@ -31,9 +34,8 @@ MAX_BYTES = 100_000_000
 MIN_NUMBER_SHARE = 0.5
 """Share of the cells of a line of data that are numbers at least: labels of runs and series are fewer."""
 MIN_EVEN_SHARE = 0.8
-"""Share of the lines with the same number of columns from which a separator is credible; titles are few."""
+"""Share of the lines with numbers that have as many columns, from which a separator is credible."""
 DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(e[+-]?\d+)?$", re.IGNORECASE)
-THOUSANDS = re.compile(r"^[+-]?\d{1,3}(,\d{3})+\.\d*$|^[+-]?\d{1,3}(\.\d{3})+,\d*$|^[+-]?\d{1,3}( \d{3})+([.,]\d*)?$")
 CLEAR_GROUP_SIGN = re.compile(r"(?<=\d)['\u2019\u00a0\u202f](?=\d{3}(?!\d))")
 """Apostrophes (Switzerland) and no-break spaces between thousands, which can be nothing else."""
 
@@ -44,8 +46,9 @@ Row = tuple[int, tuple[str, ...]]
 class TextTable:
     """A table as text: `header` names the columns, `units` are those of a units row (empty where there is none).
 
-    `rows`: line number in the file and cells of each row; `decimal_comma`: whether numbers have one; `digest` is the
-    hex SHA-256 of the file.
+    `rows`: line number in the file and cells of each row; `decimal_comma`: whether numbers have one; `has_groups`:
+    whether some have a sign between thousands beside a decimal sign; `digest` is the hex SHA-256 of the file.
+    `other_rows`: lines below the head that are no rows of the table.
     """
 
     path: Path
@@ -54,6 +57,8 @@ class TextTable:
     rows: tuple[Row, ...]
     decimal_comma: bool
     digest: str
+    has_groups: bool = False
+    other_rows: tuple[Row, ...] = ()
 
     def error(self, line: int, column: str, fault: str, remedy: str) -> UserError:
         """The error to raise for a fault in one cell, or with line 0 in a whole column."""
@@ -64,28 +69,42 @@ class TextTable:
         """The cells (n,) of a column."""
         return tuple(cells[column] for _, cells in self.rows)
 
-    def numbers(self, column: int) -> Array:
-        """The numbers (n,) of a column; raises UserError, with line and column, for a cell that is none."""
-        return np.array([self._number(line, cells[column], self.header[column]) for line, cells in self.rows])
+    def numbers(self, column: int, allow_missing: bool = False, allow_empty: bool = False) -> Array:
+        """The numbers (n,) of a column; raises UserError, with line and column, for a cell that is none.
 
-    def _number(self, line: int, cell: str, column: str) -> float:
+        With `allow_missing` they are NaN where a word (`NA`, `-`) or a number such as -9999 stands for no value, and
+        with `allow_empty` where the cell is empty.
+        """
+        name = self.header[column]
+        cells = [(line, row[column] or ("nan" if allow_empty else "")) for line, row in self.rows]
+        values = np.array([self._number(line, cell, name, allow_missing) for line, cell in cells])
+        return fillers_as_missing(values[:, None])[:, 0] if allow_missing else values
+
+    def _number(self, line: int, cell: str, column: str, allow_missing: bool) -> float:
         if not cell:
             raise self.error(line, column, "the cell is empty", "Write the number, 0 for no load, or delete the row")
-        if THOUSANDS.match(cell):
-            raise self.error(line, column, f"`{cell}` has separators of thousands", "Write it without them")
-        value = parse_number(cell, self.decimal_comma)
+        if allow_missing and is_missing(cell):
+            return math.nan
+        value = parse_number(cell, self.decimal_comma, self.has_groups)
         if value is None:
-            other = parse_number(cell, not self.decimal_comma)
-            remedy = "Use either decimal points or decimal commas in a table" if other is not None else "Correct it"
-            raise self.error(line, column, f"`{cell[:40]}` is not a number", remedy)
+            raise self.error(line, column, f"`{cell[:40]}` is not a number", self._remedy(cell))
         if not math.isfinite(value):
             raise self.error(line, column, f"`{cell[:40]}` is not finite", "Correct it, or delete the row")
         return value
 
+    def _remedy(self, cell: str) -> str:
+        """What to do about a cell that is no number in this table."""
+        if not self.has_groups and parse_number(cell, self.decimal_comma, True) is not None:
+            return "Write it without signs between thousands"
+        other = parse_number(cell, not self.decimal_comma)
+        return "Use either decimal points or decimal commas in a table" if other is not None else "Correct it"
 
-def parse_number(cell: str, decimal_comma: bool = False) -> float | None:
-    """The number that a cell holds (`1.5`, `-2,5`, `1.0D-03`), or None."""
+
+def parse_number(cell: str, decimal_comma: bool = False, has_groups: bool = False) -> float | None:
+    """The number that a cell holds (`1.5`, `-2,5`, `1.0D-03`, with groups `1,234.5`), or None."""
     text = CLEAR_GROUP_SIGN.sub("", cell.replace("\N{MINUS SIGN}", "-"))
+    if has_groups and is_grouped(text, "," if decimal_comma else "."):
+        text = re.sub(r"[ .]" if decimal_comma else r"[ ,]", "", text)
     if decimal_comma:
         text = text.replace(",", ".") if "." not in text else "x"
     if "_" in text:
@@ -107,10 +126,20 @@ def read_table(path: Path) -> TextTable:
     header_at, units = _find_header(path, rows, first)
     header = _unique_header(path, rows[header_at])
     repeated = {cells for _, cells in rows[header_at:first]}
-    data = [(line, cells) for line, cells in rows[first:] if any(cells) and cells not in repeated]
-    _require_even_rows(path, data, header, rows[header_at][0])
-    trimmed = tuple((line, cells[: len(header)]) for line, cells in data)
-    return TextTable(path, header, units, trimmed, _has_decimal_comma(trimmed), hashlib.sha256(content).hexdigest())
+    below = [(line, cells) for line, cells in rows[first:] if any(cells) and cells not in repeated]
+    decimal_comma, has_groups = _number_signs([cells[: len(header)] for _, cells in below])
+    points, others = separate_rows(below, len(header), lambda cell: parse_number(cell, decimal_comma, has_groups))
+    _require_even_rows(path, points, header, rows[header_at][0])
+    return TextTable(
+        path=path,
+        header=header,
+        units=units,
+        rows=tuple((line, cells[: len(header)]) for line, cells in points),
+        decimal_comma=decimal_comma,
+        digest=hashlib.sha256(content).hexdigest(),
+        has_groups=has_groups,
+        other_rows=tuple(others),
+    )
 
 
 def _require_even_rows(path: Path, data: Sequence[Row], header: Sequence[str], header_line: int) -> None:
@@ -161,8 +190,9 @@ def _split_lines(path: Path, lines: Sequence[tuple[int, str]]) -> list[Row]:
             # A quoted cell that another sign follows: the lines may be separated by that one.
             faults.append(fault)
             continue
-        width, count = Counter(len(cells) for _, cells in rows).most_common(1)[0]
-        if width > 1 and count >= MIN_EVEN_SHARE * len(rows) and any(_is_data(cells) for _, cells in rows):
+        numbers = [cells for _, cells in rows if any(_is_number(cell) for cell in cells)]
+        width, count = Counter(map(len, numbers)).most_common(1)[0] if numbers else (0, 0)
+        if width > 1 and count >= MIN_EVEN_SHARE * len(numbers) and any(map(_is_data, numbers)):
             return rows
     if faults:
         raise faults[0]
@@ -186,8 +216,13 @@ def _cells(path: Path, number: int, line: str, separator: str) -> tuple[str, ...
 def _is_data(cells: Sequence[str]) -> bool:
     """Whether most cells are numbers, with a point or a comma."""
     filled = [cell for cell in cells if cell]
-    numbers = [cell for cell in filled if parse_number(cell) is not None or DECIMAL_COMMA.match(cell)]
+    numbers = [cell for cell in filled if _is_number(cell)]
     return bool(filled) and len(numbers) >= MIN_NUMBER_SHARE * len(filled)
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a point or a comma."""
+    return bool(cell) and any(parse_number(cell, comma, True) is not None for comma in (False, True))
 
 
 def _first_data_row(path: Path, rows: Sequence[Row]) -> int:
@@ -200,13 +235,15 @@ def _first_data_row(path: Path, rows: Sequence[Row]) -> int:
 
 def _find_header(path: Path, rows: Sequence[Row], first: int) -> tuple[int, tuple[str, ...]]:
     """Index of the head, and the units of a line between it and the numbers (empty where there is none)."""
-    above = rows[first - 1][1]
-    if first >= 2 and len(rows[first - 2][1]) == len(above) and _are_units(above):
-        return first - 2, tuple(cell.strip("[]() ") for cell in above)
-    if len(above) < 2:
+    heads = [index for index in range(first) if sum(map(bool, rows[index][1])) > 1 or _are_units(rows[index][1])]
+    if not heads or 2 * len(rows[heads[-1]][1]) < len(rows[first][1]):
         fault = "is the line above the numbers, and does not name the columns"
         raise UserError(fault, str(path), f"line {rows[first - 1][0]}", "Write a name and a unit above each column")
-    return first - 1, ()
+    last = heads[-1]
+    above = rows[last][1]
+    if len(heads) > 1 and len(rows[heads[-2]][1]) == len(above) and _are_units(above):
+        return heads[-2], tuple(cell.strip("[]() ") for cell in above)
+    return last, ()
 
 
 def _are_units(cells: Sequence[str]) -> bool:
@@ -227,9 +264,19 @@ def _unique_header(path: Path, row: Row) -> tuple[str, ...]:
     return tuple(header)
 
 
-def _has_decimal_comma(rows: Sequence[Row]) -> bool:
-    """Whether numbers have a decimal comma: some cells do, and fewer have a decimal point."""
-    cells = [cell for _, row in rows for cell in row]
-    with_comma = sum(1 for cell in cells if DECIMAL_COMMA.match(cell))
-    with_point = sum(1 for cell in cells if "." in cell and parse_number(cell) is not None)
-    return with_comma > with_point
+def _number_signs(rows: Sequence[Sequence[str]]) -> tuple[bool, bool]:
+    """Whether numbers have a decimal comma, and whether some have a sign between thousands.
+
+    They have a decimal comma where some cells do, and fewer have a decimal point. `1,234` alone can be either; beside
+    `1,234.5` it is not.
+    """
+    cells = [cell for row in rows for cell in row]
+    with_comma = sum(1 for cell in cells if "," in cell and (DECIMAL_COMMA.match(cell) or _has_both(cell, ",")))
+    with_point = sum(1 for cell in cells if "." in cell and (parse_number(cell) is not None or _has_both(cell, ".")))
+    decimal = "," if with_comma > with_point else "."
+    return decimal == ",", any(_has_both(cell, decimal) for cell in cells if decimal in cell)
+
+
+def _has_both(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number with signs between thousands and the decimal sign."""
+    return decimal in cell and is_grouped(cell, decimal)

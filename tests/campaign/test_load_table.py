@@ -33,6 +33,8 @@ def read(tmp_path: Path, text: str, reading: TableReading | None = None, **keys)
         "FX / lbf,MY / in-lbf,B1/mV/V,B-2 (mV/V)",
         "Fx_lbf,My lbf.in,B1 in mV/V,B2_mV/V",
         "Fx,My,B1,B2\nlbf,in-lbf,mV/V,mV/V",
+        "Effort Fx (lbf),Moment My (in-lbf),B1 (mV/V),B2 (mV/V)",
+        "applied_Fx [lbf],My_load [in-lbf],B1 (mV/V),B2 (mV/V)",
     ],
 )
 def test_units_are_converted(tmp_path: Path, head: str) -> None:
@@ -64,8 +66,9 @@ def test_readings_without_loads(tmp_path: Path) -> None:
     assert table.hub_loads is None
 
 
-def test_excitation_makes_a_ratio(tmp_path: Path) -> None:
-    table = read(tmp_path, "B1 [mV],B2 [mV],Excitation [V]\n10,20,5\n10,20,10\n")
+@pytest.mark.parametrize("name", ["Excitation", "U_exc", "Speisespannung"])
+def test_excitation_makes_a_ratio(tmp_path: Path, name: str) -> None:
+    table = read(tmp_path, f"B1 [mV],B2 [mV],{name} [V]\n10,20,5\n10,20,10\n")
     assert table.channels == pytest.approx(np.array([[2e-3, 4e-3], [1e-3, 2e-3]]))
 
 
@@ -84,6 +87,21 @@ def test_components_at_stations(tmp_path: Path) -> None:
     assert table.hub_loads == pytest.approx(np.array([[0, 0, -10, 0, 1, 0], [0, 0, -10, 0, -1, 0]]))
     hub = read(tmp_path, "Fz [N],My [N m],B1 [mV/V],B2 [mV/V],Fx [N]\n-10,1,1,1,0\n", components=components)
     assert hub.hub_loads[0] == pytest.approx([0, 0, -10, 0, 1, 0])
+
+
+def test_the_name_alone_goes_before_the_name_with_words(tmp_path: Path) -> None:
+    table = read(tmp_path, "Fx applied [N],Fx [N],My [N m],sigma_My [N m],B1 [mV/V],B2 [mV/V]\n9,1,2,8,3,4\n")
+    assert table.hub_loads[0] == pytest.approx([1, 0, 0, 0, 2, 0])
+    assert table.unused == ("Fx applied [N]", "sigma_My [N m]")
+
+
+def test_missing_values_are_left_to_the_reader_of_runs(tmp_path: Path) -> None:
+    text = HEAD + "1,2,3,4\n1,2,NA,4\n1,2,3,\n1,-,3,4\n1,2,9.9E37,4\n"
+    table = read(tmp_path, text, TableReading(allow_missing=True))
+    assert np.argwhere(np.isnan(table.channels)).tolist() == [[1, 0], [2, 1], [4, 0]]
+    assert np.isnan(table.hub_loads[3]).any() and np.isfinite(table.hub_loads[[0, 1, 2, 4]]).all()
+    with pytest.raises(UserError, match="line 3, column `B1"):
+        read(tmp_path, text)
 
 
 HEAD = "Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n"

@@ -1,5 +1,6 @@
 """Tables as laboratories write them."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def test_bad_tables(tmp_path: Path, text: str, words: str) -> None:
     ("cell", "words"),
     [
         *(("", "empty"), ("nan", "not finite"), ("1_0", "not a number"), ("x", "not a number")),
-        *(('"1,234.5"', "thousands"), ("1 234.5", "thousands"), ("12'34.5", "not a number")),
+        *(("1 234", "thousands"), ("12'34.5", "not a number"), ('"1,23.4"', "not a number")),
     ],
 )
 def test_bad_cells(tmp_path: Path, cell: str, words: str) -> None:
@@ -104,6 +105,60 @@ def test_other_files_are_named(tmp_path: Path) -> None:
         read_table(path)
     with pytest.raises(UserError, match="no such file"):
         read_table(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ('"1,234.5",2\n"12,000",-1', [1234.5, 12000.0]),
+        ("1 234.5,2\n500,-1", [1234.5, 500.0]),
+        ("1.234,5;2,5\n12.000;-1,5", [1234.5, 12000.0]),
+    ],
+)
+def test_signs_between_thousands(tmp_path: Path, rows: str, expected: list[float]) -> None:
+    read = table(tmp_path, f"Fx{';' if ';' in rows else ','}B1\n" + rows + "\n")
+    assert read.numbers(0) == pytest.approx(expected)
+
+
+VALUES = [[10, 1.25, 0.5], [20, -2.5, 3.5], [30, 0.25, -1.5], [40, 5.0, 2.5], [55, 1.5, 0.75], [60, 2.5, 4.25]]
+
+
+def points_with(lines: list[str]) -> str:
+    return "No,Fx,B1,B2\n" + "".join(f"{i},{a},{b},{c}\n" for i, (a, b, c) in enumerate(VALUES, 1)) + "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["Mean,35.8,1.33,1.67"],
+        ["Mittelwert:,35.8,1.33,1.67", "Std. dev.,19.8,2.49,2.1", "Max,60,5,4.25"],
+        [",35.833333,1.333333,1.666667"],
+        ["3.5,35.833,1.333,1.667", "1.8708,19.6,2.523,2.133"],
+        ["", "End of data", "Operator: A. Smith, bench 2"],
+        ["Full scale,500,500,500"],
+    ],
+)
+def test_rows_of_statistics_and_footers_are_no_load_points(tmp_path: Path, lines: list[str]) -> None:
+    read = table(tmp_path, points_with(lines))
+    assert [line for line, _ in read.rows] == list(range(2, 8))
+    assert [line for line, _ in read.other_rows] == [8 + i for i, text in enumerate(lines) if text]
+
+
+@pytest.mark.parametrize("line", ["7,36,1.33,1.67", "7,0,0,0", "7,60,5,4.25", "max,36,1.4,1.6", "mean,36,1.4,1.6"])
+def test_load_points_like_statistics_remain(tmp_path: Path, line: str) -> None:
+    """A rounded mean that the digits contradict, the largest load with its readings, and labels that stay labels."""
+    text = points_with([line])
+    if line[0] == "m":
+        text = re.sub(r"(?m)^\d,", line.split(",", maxsplit=1)[0] + ",", text)
+    assert len(table(tmp_path, text).rows) == 7
+
+
+def test_headings_of_blocks(tmp_path: Path) -> None:
+    text = "Fx,B1\nN,mV\nSeries 1\n0,1\n5,2\n6,3\n\nSeries 2,\nFx,B1\nN,mV\n7,3\n8,4\n9,5\n"
+    read = table(tmp_path, text)
+    assert (read.header, read.units) == (("Fx", "B1"), ("N", "mV"))
+    assert [line for line, _ in read.rows] == [4, 5, 6, 11, 12, 13]
+    assert [line for line, _ in read.other_rows] == [8]
 
 
 def test_numbers() -> None:

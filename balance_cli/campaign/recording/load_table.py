@@ -8,7 +8,7 @@ Columns are found by their names: components of the geometry (or hub loads), its
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +29,8 @@ from balance_cli.io.units import NUMBER, RATIO, TEMPERATURE, VOLTAGE, Unit, pars
 
 Array = NDArray[np.float64]
 
+MOST_ROWS_LISTED, MOST_QUOTED = 5, 30
+"""Lines that a message quotes, and letters of each."""
 TABLE_TRIM = "table"
 """Label of the trim of a table that names none."""
 
@@ -37,11 +39,13 @@ TABLE_TRIM = "table"
 class TableReading:
     """How a table is read beside its head: `units` of columns without one, and the point of its moments.
 
-    `moment_center` [m] in rig axes: the point about which the hub loads of the table act; None is the hub.
+    `moment_center` [m] in rig axes: the point about which the hub loads of the table act; None is the hub. With
+    `allow_missing` loads and readings that were not read (`NA`, -9999, a reading that is empty) are NaN.
     """
 
     units: tuple[Unit, ...] = ()
     moment_center: tuple[float, float, float] | None = None
+    allow_missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,8 @@ class LoadTable:
     """A point table in SI units: `channels` (n, c), `hub_loads` (n, 6) or None, and the labels (n,) of its rows.
 
     `lines` (n,): line of each row in the file; `load_units`: unit in which the table has each component;
-    `unused`: columns that are nothing known. `temperature` (n,) [degC], None without a column of it.
+    `unused`: columns that are nothing known; `other_rows`: lines that are no load points, in words, empty for none.
+    `temperature` (n,) [degC], None without a column of it.
     """
 
     path: Path
@@ -62,6 +67,7 @@ class LoadTable:
     unused: tuple[str, ...]
     digest: str
     temperature: Array | None = None
+    other_rows: str = ""
 
 
 def read_load_table(path: Path, geometry: Geometry, reading: TableReading | None = None) -> LoadTable:
@@ -116,6 +122,13 @@ def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, row
     return replace(run, digest=run_digest(run))
 
 
+def _describe_rows(rows: Sequence[tuple[int, tuple[str, ...]]]) -> str:
+    """Lines that are no load points, with the beginning of the first ones; empty for none."""
+    texts = [f"{line} (`{', '.join(filter(None, cells))[:MOST_QUOTED]}`)" for line, cells in rows[:MOST_ROWS_LISTED]]
+    more = f" and {len(rows) - MOST_ROWS_LISTED} more" if len(rows) > MOST_ROWS_LISTED else ""
+    return f"{'line' if len(rows) == 1 else 'lines'} {', '.join(texts)}{more}" if rows else ""
+
+
 class _TableReader:
     """Assignment of the columns of one table to components, channels and labels, and their conversion."""
 
@@ -151,6 +164,7 @@ class _TableReader:
             unused=self.unused,
             digest=self.table.digest,
             temperature=self._temperature(),
+            other_rows=_describe_rows(self.table.other_rows),
         )
 
     # ---- loads ---------------------------------------------------------------------------------------------------
@@ -178,7 +192,10 @@ class _TableReader:
                 yield name, self._unit(self.columns[name], units[name])
 
     def _hub_loads(self, load_units: Mapping[str, Unit]) -> Array:
-        values = {name: unit.to_base(self.table.numbers(self.columns[name].index)) for name, unit in load_units.items()}
+        allow = self.reading.allow_missing
+        values = {
+            name: unit.to_base(self.table.numbers(self.columns[name].index, allow)) for name, unit in load_units.items()
+        }
         if set(values) <= set(COMPONENTS):
             zero = np.zeros(len(self.table.rows))
             return self._about_hub(np.column_stack([values.get(name, zero) for name in COMPONENTS]))
@@ -200,7 +217,8 @@ class _TableReader:
         column = self.columns[name]
         expected = next(channel.reading_unit for channel in self.geometry.channels if channel.name == name)
         unit = self._unit(column, VOLTAGE, RATIO, NUMBER)
-        values = unit.to_base(self.table.numbers(column.index))
+        allow = self.reading.allow_missing
+        values = unit.to_base(self.table.numbers(column.index, allow, allow))
         if unit.dimension == expected:
             return values
         if unit.dimension == VOLTAGE and expected == RATIO and "excitation" in self.columns:

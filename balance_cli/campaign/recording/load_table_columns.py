@@ -14,10 +14,41 @@ LABELS = {
     "point": ("point", "kind", "pointkind", "type"),
     "run": ("run", "runname"),
     "trim": ("trim",),
-    "excitation": ("excitation", "bridgeexcitation", "supply", "supplyvoltage"),
-    "temperature": ("temperature", "temp", "balancetemperature", "gagetemperature"),
+    "excitation": (
+        *(
+            "excitation",
+            "bridgeexcitation",
+            "excitationvoltage",
+            "exc",
+            "vexc",
+            "uexc",
+            "vex",
+            "supply",
+            "supplyvoltage",
+        ),
+        *(
+            "supplyvoltage",
+            "bridgesupply",
+            "bridgevoltage",
+            "speisespannung",
+            "brueckenspannung",
+            "alimentation",
+            "tensionalimentation",
+        ),
+    ),
+    "temperature": (
+        *("temperature", "temp", "balancetemperature", "balancetemp", "gagetemperature", "tbal", "tbalance"),
+        *("temperatur", "waagentemperatur"),
+    ),
 }
 """Columns other than loads and channels, with the names under which they are understood."""
+LOAD_WORDS = frozenset(
+    (
+        *("force", "load", "moment", "torque", "applied", "component", "kraft", "last", "drehmoment", "komponente"),
+        *("effort", "charge", "couple", "composante"),
+    )
+)
+"""Words beside the name of a load (`Effort Fx`, `applied Mz`), in lower case; other words may mean something else."""
 POINT_WORDS = {"zero": "tare", "unloaded": "tare", "calibration": "load", "repeated": "repeat", "checkload": "check"}
 """Other words for the kinds of points."""
 
@@ -32,14 +63,24 @@ class Column:
 
 
 def identify_columns(table: TextTable, names: Sequence[str]) -> list[Column | None]:
-    """Each column of the table as one of the known names; None for any other."""
-    return [_identify(table, index, names) for index in range(len(table.header))]
+    """Each column of the table as one of the known names; None for any other.
+
+    Words such as `Force` beside the name of a load count where no column has the name alone.
+    """
+    columns = [_identify(table, index, names) for index in range(len(table.header))]
+    rest = tuple(set(names) - {column.name for column in columns if column is not None} - set(LABELS))
+    return [
+        _identify(table, index, rest, LOAD_WORDS) if column is None else column for index, column in enumerate(columns)
+    ]
 
 
-def _identify(table: TextTable, index: int, names: Sequence[str]) -> Column | None:
+def _identify(
+    table: TextTable, index: int, names: Sequence[str], leave_out: frozenset[str] = frozenset()
+) -> Column | None:
     row_unit = table.units[index] if index < len(table.units) else ""
     for name, unit in _readings_of_head(table.header[index]):
-        known = _match_name(name, names)
+        words = re.split(r"([\s_.\-]+)", name) if leave_out else [name]
+        known = _match_name("".join(word for word in words if word.lower() not in leave_out).strip(" _.-"), names)
         if known is not None:
             return Column(index, known, unit if unit is not None else (row_unit or None))
     return None

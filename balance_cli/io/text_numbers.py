@@ -6,9 +6,11 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from balance_cli.importers.base import Array
 from balance_cli.io.errors import UserError
+
+Array = NDArray[np.float64]
 
 INFINITIES = ("1.#inf", "-1.#inf")
 MISSING_WORDS = (
@@ -21,8 +23,8 @@ GROUP_SIGNS = (".", ",", "'", "\u2019", "\u00a0", "\u202f", " ")
 """Signs between groups of three digits: point, comma, apostrophes (Switzerland), no-break spaces, space."""
 FEWEST_DOUBTFUL = 3
 """Different cells of one column, such as `1.234`, from which they may be whole numbers with a sign for thousands."""
-FILLERS = (*(float("9" * digits) for digits in range(4, 8)), 9.9e37, 9.91e37, 3.402823e38, 3.4028235e38)
-"""Numbers that loggers write, with either sign, for no value: -9999, the overload of SCPI, the largest of float32."""
+FILLERS = (*(float("9" * digits) for digits in range(3, 8)), 9.9e37, 9.91e37, 3.402823e38, 3.4028235e38)
+"""Numbers that loggers write, with either sign, for no value: -9999, SCPI overload, the largest of float32."""
 FILLER_RATIO = 20.0
 """Ratio of a filler to the largest of the other values: a reading among others, such as 9999 counts, is one of many."""
 
