@@ -66,7 +66,7 @@ class SuspectLoadSeries:
 class _SeriesCheck:
     """A load series against the others: its suspect channels, and those whose terms the others do not tell."""
 
-    suspects: list[SuspectLoadSeries]
+    channels: list[SuspectLoadSeries]
     unpredicted: frozenset[str]
 
 
@@ -113,7 +113,7 @@ def _worst_series(
         and (suspect_channels := _unexplained_channels(points, (load_series == name) & used, check, unexplained[name]))
         # Not known by the others, as a product of its loads is only told by itself.
         and (
-            unexplained[name].suspects or not _own_products(points, fit, (load_series == name) & used, suspect_channels)
+            unexplained[name].channels or not _own_products(points, fit, (load_series == name) & used, suspect_channels)
         )
     }
     if not candidates:
@@ -129,17 +129,17 @@ def _worst_series(
 def _unexplained_channels(
     points: CalibrationPoints, rows: NDArray[np.bool_], linear: _SeriesCheck, selected: _SeriesCheck
 ) -> list[SuspectLoadSeries]:
-    """The suspects of the linear fit that the selected terms do not explain.
+    """The suspect channels of the linear fit that the selected terms do not explain.
 
     Where the other load series do not tell the terms of a channel, what nonlinearity causes is not held against it.
     """
-    deviating = {suspect.channel for suspect in selected.suspects}
+    deviating = {suspect.channel for suspect in selected.channels}
     used = points.load_series[points.weight > 0]
     series = [points.channels[(points.load_series == name) & (points.weight > 0)] for name in np.unique(used)]
     largest_change = np.max([np.ptp(readings, axis=0) for readings in series], axis=0)
     share = np.ptp(points.channels[rows], axis=0) / np.maximum(largest_change, np.finfo(float).tiny)
     held = []
-    for suspect in linear.suspects:
+    for suspect in linear.channels:
         is_beyond_terms = abs(suspect.gain - 1.0) * share[points.channel_names.index(suspect.channel)] > MIN_GAIN_ERROR
         if suspect.channel in deviating or (suspect.channel in selected.unpredicted and is_beyond_terms):
             held.append(suspect)
@@ -160,9 +160,9 @@ def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) ->
         rows = (load_series == name) & used
         known = np.isfinite(fit.cross_validation_errors[rows]).all(axis=0)
         unpredicted = frozenset(np.array(points.channel_names)[~known].tolist())
-        suspects = _suspect_channels(points, fit, rows, description, known) if known.any() else []
-        if suspects or unpredicted:
-            by_series[name] = _SeriesCheck(suspects, unpredicted)
+        channels = _suspect_channels(points, fit, rows, description, known) if known.any() else []
+        if channels or unpredicted:
+            by_series[name] = _SeriesCheck(channels, unpredicted)
     return by_series
 
 

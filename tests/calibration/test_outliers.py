@@ -47,7 +47,7 @@ def test_curved_terms_are_no_fault_of_the_sequences_they_show_in():
     """By the loads alone many sequences are off; the terms explain them."""
     points = stand_points()
     straight = fit_calibration_model(points, choice=LINEAR_TERMS)
-    assert any(check.suspects for check in _find_suspect_series(points, straight).values())
+    assert any(check.channels for check in _find_suspect_series(points, straight).values())
     assert screen_outliers(points).suspect_series == ()
 
 

@@ -15,26 +15,8 @@ LABELS = {
     "run": ("run", "runname"),
     "trim": ("trim",),
     "excitation": (
-        *(
-            "excitation",
-            "bridgeexcitation",
-            "excitationvoltage",
-            "exc",
-            "vexc",
-            "uexc",
-            "vex",
-            "supply",
-            "supplyvoltage",
-        ),
-        *(
-            "supplyvoltage",
-            "bridgesupply",
-            "bridgevoltage",
-            "speisespannung",
-            "brueckenspannung",
-            "alimentation",
-            "tensionalimentation",
-        ),
+        *("excitation", "bridgeexcitation", "excitationvoltage", "exc", "vexc", "uexc", "vex", "supply"),
+        *("supplyvoltage", "bridgesupply", "bridgevoltage", "speisespannung", "brueckenspannung", "alimentation"),
     ),
     "temperature": (
         *("temperature", "temp", "balancetemperature", "balancetemp", "gagetemperature", "tbal", "tbalance"),
@@ -68,7 +50,8 @@ def identify_columns(table: TextTable, names: Sequence[str]) -> list[Column | No
     Words such as `Force` beside the name of a load count where no column has the name alone.
     """
     columns = [_identify(table, index, names) for index in range(len(table.header))]
-    rest = tuple(set(names) - {column.name for column in columns if column is not None} - set(LABELS))
+    found = {column.name for column in columns if column is not None}
+    rest = tuple(name for name in names if name not in found and name not in LABELS)
     return [
         _identify(table, index, rest, LOAD_WORDS) if column is None else column for index, column in enumerate(columns)
     ]
