@@ -213,9 +213,9 @@ def _prediction_gain_sigma(
     their coefficients b are then those of the prediction: gain = p'y / p'p has the derivative p'X / p'p with respect
     to b.
     """
-    is_told = known | (np.arange(len(fit.model.t)) < len(points.components))[:, None]
-    told = replace(fit.model, t=np.where(is_told, fit.model.t, np.nan))
-    model = refit_terms(points.exclude_rows(rows), told).model
+    is_determined = known | (np.arange(len(fit.model.t)) < len(points.components))[:, None]
+    determined = replace(fit.model, t=np.where(is_determined, fit.model.t, np.nan))
+    model = refit_terms(points.exclude_rows(rows), determined).model
     X = term_values(model.parsed_terms, points.loads[rows] / model.calibrated_range)
     derivative = predicted.T @ X / np.maximum(np.sum(predicted**2, axis=0), np.finfo(float).tiny)[:, None]
     variance = np.einsum("cp,cpq,cq->c", derivative, model.covariance, derivative)
