@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.io.result_view import plural
 from balance_cli.reduction.operational_modes import OperationalModes
 from balance_cli.steps.mode_trend import ModeTrend, mode_trends
 from balance_cli.steps.rank_trend import FEWEST_DRIFT_RUNS
+from balance_cli.steps.repeat_drift import RepeatDrift, find_repeat_drifts
 from balance_cli.steps.trend import (
     FEWEST_REPEATS,
     SIGNIFICANCE,
@@ -49,6 +51,7 @@ class TrendResult:
     trends: tuple[LoadTrend, ...]
     groups: list[list[int]]
     outliers: tuple[Outlier, ...]
+    repeat_drifts: tuple[RepeatDrift, ...]
     drift: RedundancyDrift | None
     run_modes: Mapping[str, OperationalModes] = field(default_factory=dict)
     modes: tuple[ModeTrend, ...] | None = None
@@ -86,6 +89,7 @@ def find_trends(
         load_trends(points, values),
         groups,
         find_outliers(points, groups),
+        find_repeat_drifts(points, groups, place),
         redundancy_drift(redundancy, place, values),
         run_modes or {},
         None if run_modes is None else mode_trends(points, run_modes, place, values),
@@ -102,6 +106,7 @@ def trend_summary(result: TrendResult) -> dict[str, Any]:
         "trends": [asdict(trend) for trend in result.trends],
         "repeats": [[result.points[index].run for index in group] for group in result.repeated],
         "outliers": [asdict(item) for item in result.outliers],
+        "repeat_drifts": [asdict(item) for item in result.repeat_drifts],
         "redundancy_drift": None if drift is None else asdict(drift) | {"is_significant": drift.is_significant},
         "modes": None
         if result.modes is None
@@ -155,10 +160,16 @@ def _outlier_text(result: TrendResult) -> Iterator[str]:
         yield f"   {item.run}: {item.component} {item.quantity} {change} (p = {item.bonferroni_p_value:.1g})"
     if len(result.outliers) > MOST_OUTLIERS:
         yield f"   and {len(result.outliers) - MOST_OUTLIERS} more (--json lists all)"
+    for drift in result.repeat_drifts:
+        change = f"{drift.last - drift.first:+.3g} {drift.unit} from the first third to the last"
+        test = f"of typically {drift.typical:.4g} (p = {drift.bonferroni_p_value:.1g})"
+        yield f"   {drift.component} {drift.quantity} drifts among repeats: {change}, {test}"
+    if result.repeat_drifts:
+        yield "   rotor, rig or zero has changed, or the model no longer holds: no residual test need show it"
 
 
 def _count(outliers: Sequence[Outlier]) -> str:
-    return f"{len(outliers)} outliers" if outliers else "no outlier"
+    return plural(len(outliers), "outlier") if outliers else "no outlier"
 
 
 def _drift_text(result: TrendResult) -> Iterator[str]:
@@ -192,6 +203,9 @@ def _mode_text(result: TrendResult, modes: Sequence[ModeTrend]) -> Iterator[str]
         percent = [100.0 * value for value in (mode.departure, mode.sigma_departure, mode.first, mode.last)]
         numbers = "{:9.2f}{:8.2f}{:13.2f}{:12.2f}".format(*percent)
         yield f"   {mode.mode:4d}{mode.frequency_hz:10.2f}{mode.runs:7d}{numbers}{mode.bonferroni_p_value:10.2g}"
+    hidden = ", ".join(f"{mode.mode} ({mode.frequency_hz:.2f} Hz)" for mode in modes if not mode.runs)
+    if hidden:
+        yield f"   not followed: mode {hidden}: records too short, little turbulence, or a harmonic beside it"
     drifting = [mode for mode in shown if mode.is_significant]
     for mode in drifting:
         way = "rises" if mode.change > 0 else "falls"
@@ -199,4 +213,8 @@ def _mode_text(result: TrendResult, modes: Sequence[ModeTrend]) -> Iterator[str]
         yield f"   mode {mode.mode} {way} {change}: stiffness or mass has changed; identify the model anew"
     if not drifting:
         tested = any(not math.isnan(mode.bonferroni_p_value) for mode in shown)
-        yield "   no significant drift" if tested else f"   fewer than {FEWEST_DRIFT_RUNS} runs: drift is not testable"
+        yield (
+            "   no significant drift of these"
+            if tested
+            else f"   fewer than {FEWEST_DRIFT_RUNS} runs: drift is not testable"
+        )

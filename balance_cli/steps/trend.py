@@ -3,7 +3,9 @@
 - A trend is the weighted regression of a load on one attribute of the runs. Its standard error contains the scatter
   about the line, which holds what the other conditions do.
 - Repeats are runs of the same conditions. The one that differs most from the mean of the others is tested with
-  Student's t (Grubbs, Technometrics 11, 1969, 1), then the next, corrected for the number of comparisons.
+  Student's t (Grubbs, Technometrics 11, 1969, 1), then the next, corrected for the number of comparisons. The stated
+  sigmas weigh runs against each other; where the scatter is less, it gives their level, because repeats have the errors
+  of response and calibration in common.
 - Whether the residual test of the redundant channels worsens in the course of the runs is asked of ranks.
 """
 
@@ -27,6 +29,9 @@ SIGNIFICANCE = 0.01
 """p-value, corrected for the number of comparisons, below which a run is an outlier or a drift is stated."""
 FEWEST_REPEATS = 4
 """Runs of one condition from which an outlier can be told: Student's t of three has one degree of freedom."""
+SCATTER_QUANTILE, OF_NORMAL, EFFICIENCY = 0.8, 1.2816, 0.6
+"""Quantile of the sizes of departures that the scatter of repeats comes from: one run in five may be an outlier, and
+heavy tails count. Its value for a normal variable of unit variance, and the efficiency of such a scatter."""
 
 
 @dataclass(frozen=True)
@@ -138,28 +143,51 @@ def find_outliers(points: Sequence[TrendPoint], groups: Sequence[Sequence[int]])
     kinds = [(component, quantity) for component in points[0].components for quantity in points[0].quantities]
     comparisons = sum(map(len, large)) * len(kinds)
     found = []
-    for group in large:
-        members = [points[index] for index in group]
-        for component, quantity in kinds:
-            values, sigmas = _series(members, component, quantity)
-            for index, mean, others, p_value in _outliers(values, sigmas, comparisons):
-                name = members[index].run
+    for component, quantity in kinds:
+        groups_of_kind = [_series([points[index] for index in group], component, quantity) for group in large]
+        own, dof = _own_share(groups_of_kind)
+        for group, (values, sigmas) in zip(large, groups_of_kind, strict=True):
+            for index, mean, others, p_value in _outliers(values, own * sigmas, dof, comparisons):
+                name = points[group[index]].run
                 found.append(Outlier(name, component, quantity, float(values[index]), mean, others, p_value))
     return tuple(sorted(found, key=lambda item: item.bonferroni_p_value))
 
 
-def _outliers(values: Array, sigmas: Array, comparisons: int) -> list[tuple[int, float, int, float]]:
-    """Return index, mean of the others, their number and corrected p-value of each outlier, the worst first."""
+def _own_share(groups: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
+    """Return the share of the stated sigmas that is each run's own, at most one, and its degrees of freedom.
+
+    It comes from the scatter of all repeats.
+    """
+    ratios = []
+    for values, sigmas in groups:
+        known = np.isfinite(values) & (sigmas > 0)
+        n = np.count_nonzero(known)
+        if n >= FEWEST_REPEATS:
+            size = np.abs(values[known] - np.median(values[known])) / sigmas[known]
+            ratios.append(size * np.sqrt(n / (n - 1.0)) / OF_NORMAL)
+    if not ratios:
+        return 1.0, 0.0
+    every = np.concatenate(ratios)
+    return min(1.0, float(np.quantile(every, SCATTER_QUANTILE))), EFFICIENCY * (len(every) - len(ratios))
+
+
+def _outliers(values: Array, sigmas: Array, dof: float, comparisons: int) -> list[tuple[int, float, int, float]]:
+    """Return index, mean of the others, their number and corrected p-value of each outlier, the worst first.
+
+    A run is compared with the scatter of the others or with its sigma, of `dof` degrees of freedom, if that is more.
+    """
     left = np.flatnonzero(np.isfinite(values))
     found = []
     while len(left) >= FEWEST_REPEATS:
         x, n = values[left], len(left)
         mean = (x.sum() - x) / (n - 1)
         variance = np.maximum((np.sum((x - x.mean()) ** 2) - (x - mean) ** 2 * (n - 1) / n) / (n - 2), 0.0)
-        scale = np.sqrt(np.maximum(variance, np.nan_to_num(sigmas[left]) ** 2) * (1.0 + 1.0 / (n - 1)))
+        stated = np.nan_to_num(sigmas[left]) ** 2
+        scale = np.sqrt(np.maximum(variance, stated) * (1.0 + 1.0 / (n - 1)))
         t = np.divide(np.abs(x - mean), scale, out=np.zeros(n), where=scale > 0)
-        worst = int(np.argmax(t))
-        p_value = min(1.0, comparisons * 2.0 * float(stdtr(n - 2, -t[worst])))
+        p_values = 2.0 * stdtr(np.where(stated > variance, max(n - 2.0, dof), n - 2.0), -t)
+        worst = int(np.argmin(p_values))
+        p_value = min(1.0, comparisons * float(p_values[worst]))
         if p_value >= SIGNIFICANCE:
             break
         found.append((int(left[worst]), float(mean[worst]), n - 1, p_value))

@@ -8,6 +8,7 @@ import pytest
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.result import RunConditions, RunLoads
+from balance_cli.steps.repeat_drift import find_repeat_drifts
 from balance_cli.steps.trend import (
     find_outliers,
     load_trends,
@@ -79,6 +80,39 @@ def test_an_outlier_among_repeats_is_named_and_chance_names_none():
     assert {item.run for item in found} == {"r5"}
     assert {item.component for item in found} == set(COMPONENTS)
     assert found[0].others == 7 and found[0].mean_of_others == pytest.approx(10.0, abs=1.0)
+
+
+def a_common_error(points, sigma):
+    """The same points with a stated sigma that is not their own: an error of the response, the same in all runs."""
+    return [
+        replace(item, loads=replace(item.loads, sigma_cosine=np.full((5, 6), sigma), sigma_sine=np.full((5, 6), sigma)))
+        for item in points
+    ]
+
+
+def test_an_error_that_repeats_have_in_common_hides_no_outlier():
+    rng = np.random.default_rng(6)
+    points = [a_point(i, rng, mean=10.0) for i in range(8)]
+    assert not find_outliers(a_common_error(points, 100.0), repeats(points))
+    points[5] = a_point(5, rng, mean=10.0 + 30 * SIGMA)
+    assert {item.run for item in find_outliers(a_common_error(points, 100.0), repeats(points))} == {"r5"}
+
+
+def test_a_load_that_changes_amid_a_campaign_drifts_among_repeats():
+    """Repeats of three speeds in turn: half of them are no outliers, and no residual test shows a rig that changed."""
+    rng = np.random.default_rng(7)
+
+    def campaign(change):
+        shift = [change * (i >= 12) for i in range(24)]
+        return [a_point(i, rng, speed=16.0 + i % 3, mean=5.0 * (i % 3) + shift[i]) for i in range(24)]
+
+    def drifts_of(points):
+        return find_repeat_drifts(points, repeats(points), np.arange(24.0))
+
+    assert sum(bool(drifts_of(campaign(0.0))) for _ in range(50)) <= 3  # 0.5 expected
+    found = drifts_of(campaign(-4.0))
+    assert {(item.component, item.quantity) for item in found} == {(name, "mean") for name in COMPONENTS}
+    assert found[0].last - found[0].first == pytest.approx(-4.0, abs=1.5)
 
 
 def test_runs_of_other_conditions_are_no_repeats():
