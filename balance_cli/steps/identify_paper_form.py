@@ -70,4 +70,4 @@ def _modes(fit: PaperFit) -> ModeTable:
 def _quality(fit: PaperFit) -> FitQuality:
     unknown = float("nan")
     runs = {name: RunFit(unknown, unknown, error, unknown) for name, error in fit.misfit.frf_errors.items()}
-    return FitQuality(float(fit.misfit.chi2), float(fit.misfit.dof), fit.misfit.frf_error, runs)
+    return FitQuality(float(fit.misfit.chi2), float(fit.misfit.dof), fit.misfit.frf_error, runs, fit.misfit.frf_band)

@@ -213,7 +213,7 @@ def test_chi_square_counts_the_noise_of_the_loads(bar):
     for name, lines in (("both", runs), ("forces only", blind)):
         spectra = sensor_spectra(bar.geometry, sensor_rule(bar.geometry), lines)
         true = Coefficients(*bar.coefficients(np.eye(2), spectra.inputs))
-        result = compare_with_measurement(spectra, spectra, true, 0)
+        result = compare_with_measurement(spectra, spectra, true, 0, (5.0, 150.0))
         chi2[name] = result.chi2_per_dof
         dof = result.dof
     assert dof == 2 * 2 * 2 * len(LINES)
@@ -233,7 +233,9 @@ def test_chi_square_allows_for_an_estimated_noise_covariance(bar):
         estimated.append(replace(run, covariance=z @ z.conj().swapaxes(1, 2) / dof, dof=float(dof)))
     spectra = sensor_spectra(bar.geometry, sensor_rule(bar.geometry), estimated)
     true = Coefficients(*bar.coefficients(np.eye(2), spectra.inputs))
-    assert compare_with_measurement(spectra, spectra, true, 0).chi2_per_dof == pytest.approx(1.0, abs=0.15)
+    assert compare_with_measurement(spectra, spectra, true, 0, (5.0, 150.0)).chi2_per_dof == pytest.approx(
+        1.0, abs=0.15
+    )
 
 
 def test_unstable_models_are_reflected_with_their_vectors_kept():

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.fit_quality import frf_band_of_lines
 from balance_cli.estimation.paper.equations import (
+    Coefficients,
     declared_coefficients,
     free_coefficients,
     model_response,
@@ -18,7 +20,7 @@ from balance_cli.estimation.paper.equations import (
 from balance_cli.estimation.paper.initial_models import select_initial_model
 from balance_cli.estimation.paper.least_squares import fit_linear_equations
 from balance_cli.estimation.paper.likelihood import OutputErrorFit, maximize_likelihood
-from balance_cli.estimation.paper.misfit import compare_with_measurement
+from balance_cli.estimation.paper.misfit import Misfit, compare_with_measurement
 from balance_cli.estimation.paper.output_error import group_by_frequency
 from balance_cli.estimation.paper.result import PaperFit, PaperOptions
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_rule
@@ -45,13 +47,18 @@ def identify_paper_form(
     if not len(spectra.frequency):
         raise UserError(f"no line from {options.band[0]:g} to {options.band[1]:g} Hz", remedy="Widen the band")
     free = free_coefficients(len(rule.names), len(spectra.inputs), options.damping == "full")
+    frf_band = frf_band_of_lines(all_spectra.frequency, geometry)
+
+    def misfit(model: Coefficients) -> Misfit:
+        return compare_with_measurement(all_spectra, spectra, model, int(free.sum()), frf_band)
+
     if options.method == "ls":
         weight = None if options.line_weighting == "plain" else 1.0 / spectra.frequency**2
         first = fit_linear_equations(spectra, free, weight)
         estimate = OutputErrorFit(first.model, first.covariance, first.residual_covariance, "full", np.nan, 0, True)
-        return _build_fit(rule, all_spectra, spectra, free, estimate, "", options)
+        return _build_fit(rule, misfit(estimate.model), spectra, free, estimate, "", options)
     estimate, start = _fit_maximum_likelihood(geometry, rule, spectra, free, options)
-    return _build_fit(rule, all_spectra, spectra, free, estimate, start, options)
+    return _build_fit(rule, misfit(estimate.model), spectra, free, estimate, start, options)
 
 
 def _fit_maximum_likelihood(
@@ -69,7 +76,7 @@ def _fit_maximum_likelihood(
 
 def _build_fit(
     rule: SensorRule,
-    all_spectra: SensorSpectra,
+    misfit: Misfit,
     spectra: SensorSpectra,
     free: NDArray[np.bool_],
     estimate: OutputErrorFit,
@@ -85,7 +92,7 @@ def _build_fit(
         S=estimate.S,
         noise=estimate.noise,
         modes=modes_of_coefficients(estimate.model, free, estimate.covariance),
-        misfit=compare_with_measurement(all_spectra, spectra, estimate.model, int(free.sum())),
+        misfit=misfit,
         options=options,
         line_count=len(spectra.frequency),
         start=start,

@@ -13,22 +13,21 @@ from balance_cli.estimation.paper.spectra import SensorSpectra
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-FRF_BAND = (5.0, 150.0)
-"""Band [Hz] of the relative response error (`frf_error` in docs/json.md), the same as for the physical form."""
-
 
 @dataclass(frozen=True)
 class Misfit:
     """`chi2` of the lines fitted against the noise measured in the runs, its `dof`, and relative errors.
 
-    `frf_errors` {run: rms(model - measurement) / rms(measurement)} of the responses s/u over sensors and lines from 5
-    to 150 Hz, whatever the band of the fit; `frf_error` is their root mean square. NaN where a run has no such line.
+    `frf_errors` {run: rms(model - measurement) / rms(measurement)} of the responses s/u over sensors and lines within
+    the `frf_band` [Hz], whatever the band of the fit; `frf_error` is their root mean square. NaN where a run has no
+    such line.
     """
 
     chi2: float
     dof: int
     frf_error: float
     frf_errors: dict[str, float]
+    frf_band: tuple[float, float]
 
     @property
     def chi2_per_dof(self) -> float:
@@ -37,14 +36,18 @@ class Misfit:
 
 
 def compare_with_measurement(
-    all_spectra: SensorSpectra, fitted_spectra: SensorSpectra, model: Coefficients, parameters: int
+    all_spectra: SensorSpectra,
+    fitted_spectra: SensorSpectra,
+    model: Coefficients,
+    parameters: int,
+    frf_band: tuple[float, float],
 ) -> Misfit:
-    """Misfit of `model`: chi2 over the `fitted_spectra`, relative errors over `all_spectra` in the common band."""
-    errors = frf_errors(all_spectra.in_band(FRF_BAND), model)
+    """Misfit of `model`: chi2 over the `fitted_spectra`, relative errors over `all_spectra` in the `frf_band` [Hz]."""
+    errors = frf_errors(all_spectra.in_band(frf_band), model)
     present = [error for error in errors.values() if np.isfinite(error)]
     frf_error = float(np.sqrt(np.mean(np.square(present)))) if present else float("nan")
     dof = 2 * fitted_spectra.s.size - parameters
-    return Misfit(chi2_against_measured_noise(fitted_spectra, model), dof, frf_error, errors)
+    return Misfit(chi2_against_measured_noise(fitted_spectra, model), dof, frf_error, errors, frf_band)
 
 
 def chi2_against_measured_noise(spectra: SensorSpectra, model: Coefficients) -> float:
