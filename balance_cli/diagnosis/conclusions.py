@@ -83,6 +83,7 @@ def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_a
     notes, verdict, settings = diagnosis.notes, diagnosis.verdict, diagnosis.settings or DEFAULT_SETTINGS
     if kept_aside:
         notes = (*notes, f"no hold-out run was given: {', '.join(kept_aside)} kept aside, which no fit has used")
+    notes = (*notes, *(f"{name}: {errors.other_set_up}" for name, errors in hold_out.items() if errors.other_set_up))
     undescribed = [name for name, errors in hold_out.items() if not is_described(errors, settings)]
     if undescribed and verdict in (NOTHING_MISSING, EXPLAINED):
         # The fitted runs are described: what is missing acts in the hold-out runs alone.

@@ -142,11 +142,15 @@ class RunErrors:
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Errors of a run that no fit has used, before and after updating; `noise`: those that its noise alone causes."""
+    """Errors of a run that no fit has used, before and after updating; `noise`: those that its noise alone causes.
+
+    `other_set_up`: what of the updated model is not in the set-up of this run, in words; None where all of it is.
+    """
 
     before: RunErrors
     after: RunErrors
     noise: RunErrors
+    other_set_up: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 CHANNEL, RUN = "channel", "run"

@@ -1,7 +1,8 @@
 """The loads that act for those that the exciters' force cells record, and their derivatives.
 
-A force cell may read `gain` times its load, late by `delay`, and a `mass` beyond it moves with the hub: with D the
-masses of the exciters that are attached in a run, H the motion of the hub per unit load and C the cross-axis matrix,
+A force cell may read `gain` times its load, late by `delay`, and a `mass` beyond it moves with the hub, along its own
+axis or another one: with D the diagonal matrix of the masses along each component, summed over the exciters that are
+attached in a run, H the motion of the hub per unit load and C the cross-axis matrix,
 
     e = exp(s delay) / gain recorded load,        (1 + s^2 D H) v = e,        true load = C v
 
@@ -60,7 +61,7 @@ def _cell_factor(equations: Equations, frequency: Array) -> ComplexArray:
 def _inertia_inverse(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
     """(1 + s^2 D H)^-1 (K, 6, 6)."""
     square = -((2 * np.pi * solution.frequency[index]) ** 2)
-    mass = square[:, None] * attached * system.equations.exciter_mass.value
+    mass = square[:, None] * (attached @ system.equations.exciter_mass.value)
     motion = (hub_motion(system, solution) @ system.equations.exciter_cross_axis.value)[index]
     return np.asarray(np.linalg.inv(np.eye(6) + mass[:, :, None] * motion))
 
@@ -101,9 +102,9 @@ def _load_parameters(equations: Equations, is_static: bool) -> Mask:
         return own
     if np.any(equations.exciter_mass.value):
         return np.ones_like(own)
-    for part in (equations.load_gain, equations.load_delay, equations.exciter_mass):
+    for part in (equations.load_gain, equations.load_delay):
         own = np.asarray(own | part.derivative.any(axis=1))
-    return own
+    return np.asarray(own | equations.exciter_mass.derivative.any(axis=(1, 2)))
 
 
 def _beyond_cell_derivatives(
@@ -123,10 +124,10 @@ def _beyond_cell_derivatives(
     beyond = np.matmul(inverse, recorded[:, :, None])[:, :, 0]
     acting = beyond @ equations.exciter_cross_axis.value.T
     motion = np.matmul(hub_motion(system, solution)[index], acting[:, :, None])
-    change = change - s**2 * attached[:, :, None] * mass.derivative[own].T * motion
+    change = change - s**2 * np.einsum("ki,qij->kjq", attached, mass.derivative[own]) * motion
     if np.any(mass.value):
         of_motion = hub_motion_jacobian(system, solution, index, acting)[:, :, own]
         turned = multiply_derivatives(equations.exciter_cross_axis.derivative[own], beyond)
         of_motion = of_motion + np.matmul(hub_motion(system, solution)[index], turned)
-        change = change - s**2 * (attached * mass.value)[:, :, None] * of_motion
+        change = change - s**2 * (attached @ mass.value)[:, :, None] * of_motion
     return np.asarray(np.matmul(inverse, change))

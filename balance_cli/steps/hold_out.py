@@ -28,6 +28,7 @@ from balance_cli.reduction.result import CheckErrors
 ComplexArray = NDArray[np.complex128]
 
 HOLD_OUT_KINDS = ("check", "sweep")
+OTHER_EXCITERS = "made with other exciters: it is described without the masses that those of the sweeps move"
 
 
 def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -> HoldOut:
@@ -39,7 +40,16 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     require_known_loads(run)
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
     (old, _), (new, noise) = errors(run, before), errors(run, after)
-    return HoldOut(old, new, noise)
+    return HoldOut(old, new, noise, OTHER_EXCITERS if run.kind == "check" and _has_other_exciters(run, after) else None)
+
+
+def _has_other_exciters(run: Run, model: IdentifiedModel) -> bool:
+    """Whether a check run is described better without the masses of the exciters of the sweeps."""
+    if not np.any(identified_system(model).equations.exciter_mass.value):
+        return False
+    record = rotor_record(run, model.geometry, model_source(model))
+    with_masses, chosen = _load_matrices(record, model, attached=True), record_load_matrices(record, model)
+    return not np.array_equal(with_masses, chosen)
 
 
 def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -81,9 +91,23 @@ def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
 
 
 def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> ComplexArray:
-    """Return the matrices (n+1, 6, 6) from recorded to true loads at harmonics 0 to n of a check run."""
+    """Return the matrices (n+1, 6, 6) from recorded to true loads at harmonics 0 to n of a check run.
+
+    Masses beyond the force cells are those of the exciters of the sweeps, with which a check run may have been made or
+    not: of the two the one that describes its channels better.
+    """
+    attached = _load_matrices(record, model, attached=True)
+    if not np.any(identified_system(model).equations.exciter_mass.value):
+        return attached
+    source = model_source(model)
+    choices = (attached, _load_matrices(record, model, attached=False))
+    return min(choices, key=lambda matrices: _harmonic_errors(record, model, source, matrices)[0])
+
+
+def _load_matrices(record: RotorRecord, model: IdentifiedModel, attached: bool) -> ComplexArray:
+    """The same with the masses of the exciters `attached` that apply a load, or without any."""
     system, spectra = identified_system(model), record.spectra
-    applied = np.any(spectra.amplitude[:, spectra.columns(COMPONENTS)] != 0, axis=0)
+    applied = attached & np.any(spectra.amplitude[:, spectra.columns(COMPONENTS)] != 0, axis=0)
     solution = solve(system, spectra.frequency_hz, record.spin)
     lines = np.arange(len(spectra.frequency_hz))
     matrices = true_load_matrices(system, solution, lines, np.broadcast_to(applied, (len(lines), 6)))

@@ -79,6 +79,12 @@ def each_component(_: Geometry) -> tuple[Where, ...]:
     return tuple((name,) for name in COMPONENTS)
 
 
+def each_component_and_motion(_: Geometry) -> tuple[Where, ...]:
+    """One place per load component, then one per pair of a component and a force along which its exciter moves, too."""
+    forces = tuple(name for name in COMPONENTS if name.startswith("F"))
+    return (*((name,) for name in COMPONENTS), *((a, b) for a in COMPONENTS for b in forces if a != b))
+
+
 def all_or_each_component(geometry: Geometry) -> tuple[Where, ...]:
     """All load components together, then one place per component."""
     return ((ALL,), *each_component(geometry))

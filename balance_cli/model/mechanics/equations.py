@@ -121,8 +121,9 @@ class Equations:
     - `extra_readings` (e, n): forces that the channels of a spring read in addition to its own.
     - `exciter_cross_axis` (6, 6) transforms the loads that exciters apply, as measured, to true ones, and
       `weight_cross_axis` (6, 6) those of static runs; `mixing` (c, c) acts on the channels' volts.
-    - The exciters' force cells read `load_gain` (6,) times their loads, late by `load_delay` (6,) [s]; `exciter_mass`
-      (6,) [kg, kg m2] beyond them moves with the hub while they are attached (see `model.exciter_loads`).
+    - The exciters' force cells read `load_gain` (6,) times their loads, late by `load_delay` (6,) [s]; while an
+      exciter is attached, its row of `exciter_mass` (6, 6) [kg, kg m2] moves with the hub along the six components
+      (see `model.exciter_loads`).
     - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
       are; `non_metric_motion` (6, n): motion x y z psi theta phi of the non-metric side at the rig's origin.
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.

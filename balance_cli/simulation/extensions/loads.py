@@ -113,7 +113,10 @@ class LoadDelay(Extension):
 
 @dataclass(frozen=True)
 class ExciterMass(Extension):
-    """A `mass` [kg], of a moment a moment of inertia [kg m2], moves with the hub while its exciter is attached."""
+    """A `mass` [kg], along a moment a moment of inertia [kg m2], moves with the hub while its exciter is attached.
+
+    The first name of the place is the component of the exciter, the last one that along which the mass moves.
+    """
 
     name: ClassVar[str] = "exciter-mass"
     mass: float = 0.0
@@ -121,7 +124,7 @@ class ExciterMass(Extension):
     def exciter_mechanics(self, mechanics: Mechanics, attached: Collection[str]) -> Mechanics:
         """The equations with the inertia along the loads of the attached exciters."""
         self.places(COMPONENTS)
-        columns = [i for i, name in enumerate(COMPONENTS) if name in attached and name in self.where]
+        columns = [i for i, name in enumerate(COMPONENTS) if name == self.where[-1] and self.where[0] in attached]
         rows = mechanics.loads[:, columns]
         return replace(mechanics, mass=mechanics.mass + self.mass * rows @ rows.T)
 
