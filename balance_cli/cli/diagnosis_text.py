@@ -29,7 +29,7 @@ def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> d
         "verdict": diagnosis.verdict,
         "effects": [_effect_evidence_summary(effect) for effect in diagnosis.effects],
         "not_testable": [{"name": item.name, "why": item.reason} for item in diagnosis.untestable_effects],
-        "hold_out": {name: asdict(errors) for name, errors in diagnosis.hold_out.items()},
+        "hold_out": {name: _known_items(asdict(errors)) for name, errors in diagnosis.hold_out.items()},
         "chi2_per_dof": {"before": diagnosis.chi2_per_dof_before, "after": diagnosis.chi2_per_dof_after},
         "frf_error": {"before": diagnosis.frf_error_before, "after": diagnosis.frf_error_after},
         "frf_band": updated_model.quality.frf_band,
@@ -131,6 +131,11 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
 
 def _p_value_text(value: float) -> str:
     return f"{value:.1e}" if value > 1e-99 else "< 1e-99"
+
+
+def _known_items(items: dict[str, object]) -> dict[str, object]:
+    """The items that are known."""
+    return {key: value for key, value in items.items() if value is not None}
 
 
 def _hold_out_text(hold_out: dict[str, HoldOut]) -> Iterator[str]:

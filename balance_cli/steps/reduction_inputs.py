@@ -87,7 +87,7 @@ def require_same_geometry(geometry: Geometry, calibration: Calibration, file: st
 def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord | None:
     """Return the wind-off record that mean loads count from, None without one.
 
-    Raises UserError for several runs, for a run of another kind, and where no channel of the mean loads can be used.
+    Raises UserError for several runs, for a run of another kind, and where too few channels of means can be used.
     """
     if len(zeros) > 1:
         names = ", ".join(run.name for run in zeros)
@@ -100,10 +100,14 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord
     health = live_channels(run, calibration.geometry)
     dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
     live = [name for name in dc_channels if name in health.live]
-    if dc_channels and not live:
+    least = min(len(next(iter(calibration.trims.values())).components), len(dc_channels))
+    if len(live) < least:
         # A wind-off record whose noise is below one step of the converter: the zero may be half a step off, unknown.
         reasons = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items() if name in dc_channels)
-        fault = f"no strain or torque channel can be used ({reasons})"
+        usable = (
+            f"{len(live)} of {len(dc_channels)} strain and torque channels" if live else "no strain or torque channel"
+        )
+        fault = f"{usable} can be used ({reasons})"
         remedy = "Leave the run out: mean loads then count from the zero of the calibration"
         raise UserError(fault, place, "channels", remedy)
     return zero_record(run, live)

@@ -97,6 +97,16 @@ def test_a_channel_that_dies_for_part_of_the_record_is_found(start: int, stop: i
     assert fault(channel) == f"dead for part of the record: constant at 4 V from sample {start} to {stop - 1}"
 
 
+@pytest.mark.parametrize(("loaded_from", "is_sound"), [(150, True), (20, False)])
+def test_coarse_steps_hide_the_response_before_the_loads_begin(loaded_from: int, is_sound: bool) -> None:
+    """A sweep from rest: 100 constant samples at its start are no fault of the channel unless loads act in them."""
+    time = np.arange(8000)
+    channel = quantized(20.0 * np.sin(0.3 * time) * (time >= 100), 1.0)
+    load = np.outer(np.sin(0.3 * time) * (0.05 + (time >= loaded_from)), np.eye(6)[2])
+    run = replace(record(channel), kind="sweep", has_loads=True, source=MemorySource(channel[:, None], load))
+    assert (channel_faults(run, {"c0": None}) == {}) == is_sound
+
+
 def test_samples_that_are_not_finite_are_counted() -> None:
     channel = noise()
     channel[[7, 9000]] = np.nan, np.inf

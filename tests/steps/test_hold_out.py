@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.conclusions import judge_hold_out
+from balance_cli.diagnosis.result import EXPLAINED
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.model_sources import model_source
-from balance_cli.steps.hold_out import hold_out_errors
+from balance_cli.steps.hold_out import OTHER_EXCITERS, hold_out_errors
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run
+from tests.support.diagnosis_content import diagnosis
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 from tests.support.truth import response_errors
 
@@ -106,6 +109,28 @@ def test_cross_axis_loads_of_an_exciter_act_too(campaign):
     assert found.before.interaction[spilt] > 0.01
     assert found.after.interaction[spilt] < 0.1 * found.before.interaction[spilt]
     assert found.after.frf_error < 0.1 * found.before.frf_error
+
+
+@pytest.mark.parametrize("attached", [True, False])
+def test_a_check_run_may_be_made_without_the_exciters_of_the_sweeps(attached):
+    """A mass that moves across the axis of an exciter, known from the sweeps: the check run has it, or has not."""
+    from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
+    from balance_cli.simulation.extensions.library import extension
+    from balance_cli.simulation.rig import apply_effects
+
+    geometry = rotor_balance()
+    (plan,) = (one for one in short_plan().runs if one.kind == "check")
+    place = (sorted(plan.harmonics)[0], "Fx")
+    effects = [extension("exciter-mass", place, mass=2.0)] if attached else []
+    run, _ = simulate_run(apply_effects(true_rig(geometry), effects), plan, Noise().scale_by(0.1), seed=5)
+    effect = DeclaredEffect(name="exciter-mass", where=place, parameters={"mass": 2.0})
+    knowing = computed(geometry.model_copy(update={"effects": (effect,)}))
+    found = hold_out_errors(run, computed(geometry), knowing)
+    assert (found.other_set_up is None) == attached
+    assert found.after.frf_error < 3 * found.noise.frf_error
+    assert found.before.frf_error > (10 * found.after.frf_error if attached else 0.0)
+    notes = judge_hold_out(diagnosis(EXPLAINED), {"check-1": found}).notes
+    assert [note for note in notes if "other exciters" in note] == ([] if attached else [f"check-1: {OTHER_EXCITERS}"])
 
 
 @pytest.mark.parametrize("kind", ["wind", "static"])

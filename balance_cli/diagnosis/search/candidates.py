@@ -134,7 +134,11 @@ def check_exclusion(word: str, geometry: Geometry) -> None:
 
 
 def smaller_places(candidate: PlacedEffect, geometry: Geometry) -> tuple[Where, ...]:
-    """Places of the same effect with one name less (a support that is rigid in one of its motions)."""
-    places = candidate.effect.places(geometry)
+    """Places of the same effect with one name and some parameters less (a support that is rigid in one of its motions).
+
+    A place with as many parameters is another one: a mass along the axis of an exciter, not across it.
+    """
+    effect, places = candidate.effect, candidate.effect.places(geometry)
     smaller = [tuple(name for name in candidate.where if name != removed) for removed in candidate.where]
-    return tuple(where for where in smaller if where and where in places)
+    smaller = [where for where in smaller if where and where in places]
+    return tuple(where for where in smaller if len(effect.parameters(geometry, where)) < len(candidate.parameters))

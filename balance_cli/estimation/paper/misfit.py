@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ class Misfit:
     dof: int
     frf_error: float
     frf_errors: dict[str, float]
-    frf_band: tuple[float, float]
+    frf_band: tuple[float, float] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def chi2_per_dof(self) -> float:

@@ -43,8 +43,8 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 EFFECT = Effect(
     name="exciter-mass",
     summary="Part of an exciter, beyond its force cell, moves with the hub.",
-    validity="A rigid mass that moves along one axis, that of its exciter or another one; attached only in runs in which "
-    "the exciter works.",
+    validity="A rigid mass that moves along one axis, that of its exciter or another one; attached only in runs in "
+    "which the exciter works.",
     reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 3 (mass cancellation).",
     signature="Resonances of the sweeps of one component lie lower than those of the others; at low frequency nothing.",
     separated_by="Weigh what is beyond the force cell. A mass of the rig lowers the resonances in all sweeps.",
