@@ -197,10 +197,17 @@ def nearest_trim(calibration: Calibration, loads: RunLoads) -> TrimCalibration:
 
 def filter_is_contradicted(tests: InnovationTests | None) -> bool:
     """Return whether the innovations of a filter are not of the size that it states, or not white."""
-    if tests is None:
-        return False
-    autocorrelation = np.sqrt(tests.whiteness / tests.samples)
-    return not SMALLEST_NIS <= tests.nis <= LARGEST_NIS or bool(autocorrelation > LARGEST_AUTOCORRELATION)
+    return tests is not None and (innovations_have_wrong_size(tests) or innovations_are_correlated(tests))
+
+
+def innovations_have_wrong_size(tests: InnovationTests) -> bool:
+    """Return whether the innovations of a filter are larger or smaller than it states."""
+    return not SMALLEST_NIS <= tests.nis <= LARGEST_NIS
+
+
+def innovations_are_correlated(tests: InnovationTests) -> bool:
+    """Return whether the innovations of a filter predict each other: it does not follow the record."""
+    return bool(np.sqrt(tests.whiteness / tests.samples) > LARGEST_AUTOCORRELATION)
 
 
 def flag_filter(loads: RunLoads, tests: InnovationTests | None) -> RunLoads:

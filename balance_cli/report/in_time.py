@@ -7,8 +7,16 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.reduction.choices import LOAD_MODEL_TEXTS
+from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
+from balance_cli.reduction.trust import (
+    LARGEST_AUTOCORRELATION,
+    LARGEST_NIS,
+    SMALLEST_NIS,
+    innovations_are_correlated,
+    innovations_have_wrong_size,
+)
 from balance_cli.report.blocks import (
     Chart,
     Details,
@@ -25,9 +33,6 @@ from balance_cli.report.innovation_chart import innovation_chart
 from balance_cli.report.number_format import MISSING_VALUE, format_fixed, format_significant
 from balance_cli.report.sources import Source, Sources
 from balance_cli.report.track_plots import HARMONICS_SHOWN, track_plots
-
-LARGE_NIS_FACTOR = 1.25
-"""Factor by which NIS may differ from one before it is marked: sigma is then wrong by an eighth."""
 
 
 def section(sources: Sources) -> Section | None:
@@ -65,10 +70,15 @@ def innovation_tests_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
         runs = runs_in_time(source.content)
         for heading in dict.fromkeys(_filter_text(run) for run in runs.values()):
             rows.append(group_heading_row(f"{source.label}: {heading}", len(head)))
-            rows += [_innovation_tests_row(name, run) for name, run in runs.items() if _filter_text(run) == heading]
+            rows += [
+                innovation_tests_row(name, run.innovations)
+                for name, run in runs.items()
+                if _filter_text(run) == heading
+            ]
     caption = (
-        "Innovations of all channels together; small: one standard deviation for a consistent filter. Marked: NIS "
-        f"differs from 1 by more than a factor of {LARGE_NIS_FACTOR:g}."
+        "Innovations of all channels together; small: one standard deviation for a consistent filter. Marked, and the "
+        f"loads flagged `filter contradicted`: NIS not within {SMALLEST_NIS:g} to {LARGEST_NIS:g}, or an rms "
+        f"autocorrelation over {LARGEST_AUTOCORRELATION:g}, which does not grow with the record as the whiteness does."
     )
     return Table(caption, (tuple(TableCell(text) for text in head),), tuple(rows))
 
@@ -78,21 +88,20 @@ def _filter_text(run: TimeDomainResult) -> str:
     return f"load model: {LOAD_MODEL_TEXTS.get(run.load_model, run.load_model)}{lag}"
 
 
-def _innovation_tests_row(name: str, run: TimeDomainResult) -> Row:
-    tests = run.innovations
+def innovation_tests_row(name: str, tests: InnovationTests | None) -> Row:
+    """Return the row of a run in the table; what contradicts the filter is marked."""
     if tests is None:
         return (
             TableCell(name, mark="name"),
             TableCell(MISSING_VALUE, title="no part of the record has all channels"),
         )
-    factor = max(tests.nis, 1.0 / tests.nis) if tests.nis > 0 else np.inf
+    size = "bad" if innovations_have_wrong_size(tests) else ""
+    correlated = "bad" if innovations_are_correlated(tests) else ""
     return (
         TableCell(name, mark="name"),
-        TableCell(
-            format_fixed(tests.nis, 3), format_fixed(tests.nis_sigma, 3), "bad" if factor > LARGE_NIS_FACTOR else ""
-        ),
-        TableCell(format_significant(tests.whiteness), format_significant(tests.whiteness_sigma, 1)),
-        TableCell(format_significant(float(np.sqrt(tests.whiteness / tests.samples)), 2)),
+        TableCell(format_fixed(tests.nis, 3), format_fixed(tests.nis_sigma, 3), size),
+        TableCell(format_significant(tests.whiteness), format_significant(tests.whiteness_sigma, 1), correlated),
+        TableCell(format_significant(float(np.sqrt(tests.whiteness / tests.samples)), 2), mark=correlated),
         TableCell(str(tests.samples)),
     )
 

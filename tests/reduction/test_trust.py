@@ -12,6 +12,7 @@ from balance_cli.reduction.harmonic_loads import harmonic_loads, rotor_record
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
+from balance_cli.report.in_time import innovation_tests_row
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
@@ -171,6 +172,8 @@ def test_innovations_contradict_a_filter(
 ):
     tests = InnovationTests(nis, 0.002, whiteness, 0.08, {}, samples)
     assert filter_is_contradicted(tests) == contradicted
+    marks = [cell.mark for cell in innovation_tests_row("wind-1", tests)]
+    assert ("bad" in marks) == contradicted
     loads = reduce_run(check, campaign.geometry, calibration, model_source(identified))
     words = reduced_words(flag_filter(loads, tests))
     assert ("filter contradicted" in words) == contradicted
