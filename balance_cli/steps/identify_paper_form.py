@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.fit_quality import frf_band_of_lines
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, ModeTable, ParameterTable, RunFit
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.paper.fit import identify_paper_form
@@ -23,7 +24,8 @@ def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperO
     """
     if not spectra.lines:
         raise UserError("no sweep run to identify from", remedy="Give sweeps of Fx, Fy, Fz, Mx and My")
-    fit = identify_paper_form(geometry, spectra.lines, options)
+    lines = np.concatenate([run.frequency[run.frequency > 0] for run in spectra.lines])
+    fit = identify_paper_form(geometry, spectra.lines, options, frf_band_of_lines(lines, geometry))
     return IdentifiedModel(
         form="paper",
         method=options.method,

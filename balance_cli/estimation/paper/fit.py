@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.fit_quality import frf_band_of_lines
 from balance_cli.estimation.paper.equations import (
     Coefficients,
     declared_coefficients,
@@ -33,12 +32,16 @@ ComplexArray = NDArray[np.complex128]
 
 
 def identify_paper_form(
-    geometry: Geometry, runs: Sequence[RunSpectrum], options: PaperOptions | None = None
+    geometry: Geometry,
+    runs: Sequence[RunSpectrum],
+    options: PaperOptions | None = None,
+    frf_band: tuple[float, float] | None = None,
 ) -> PaperFit:
     """Identify the balance in the paper's form from the lines of sweep runs.
 
-    Runs that do not excite the plate are not used. Raises UserError where the cells do not fit the form, a cell has no
-    channel, or the runs do not determine the equations.
+    `frf_band` [Hz] is that of the relative response errors, by default all lines. Runs that do not excite the plate are
+    not used. Raises UserError where the cells do not fit the form, a cell has no channel, or the runs do not determine
+    the equations.
     """
     options = options or PaperOptions()
     rule = sensor_rule(geometry)
@@ -47,10 +50,10 @@ def identify_paper_form(
     if not len(spectra.frequency):
         raise UserError(f"no line from {options.band[0]:g} to {options.band[1]:g} Hz", remedy="Widen the band")
     free = free_coefficients(len(rule.names), len(spectra.inputs), options.damping == "full")
-    frf_band = frf_band_of_lines(all_spectra.frequency, geometry)
+    band = frf_band or (float(all_spectra.frequency.min()), float(all_spectra.frequency.max()))
 
     def misfit(model: Coefficients) -> Misfit:
-        return compare_with_measurement(all_spectra, spectra, model, int(free.sum()), frf_band)
+        return compare_with_measurement(all_spectra, spectra, model, int(free.sum()), band)
 
     if options.method == "ls":
         weight = None if options.line_weighting == "plain" else 1.0 / spectra.frequency**2
