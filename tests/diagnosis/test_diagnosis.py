@@ -204,7 +204,7 @@ def test_candidates_leave_out_what_the_rig_has():
     assert all(
         len(where) == len(support.placed_effect.where) - 1 for where in smaller_places(support.placed_effect, RIG)
     )
-    across = candidate_at("exciter-mass", ("Mz", "Fz"), RIG)
+    across = next(one for one in candidates(RIG) if one.label == "exciter-mass@Mz,Fz")
     assert not smaller_places(across.placed_effect, RIG)  # along the moment another mass moves
 
 

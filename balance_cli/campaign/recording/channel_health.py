@@ -49,8 +49,7 @@ LEAST_PLATEAU = 3
 """A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often, and more often
 than its excitation repeats itself: without noise each period has the same peak."""
 REST_SHARE = 0.1
-"""Loads at the beginning of a record, over the largest, up to which it begins at rest: a channel that is dead there
-loses the response to a hundredth of the power of the record."""
+"""Loads at the start of a record, over the largest, up to which it begins at rest: a hundredth of the power is lost."""
 SMALLEST_PEAK = 1e-60
 """Volts below which no channel stays throughout; the fourth power is still a number, and rounding leaves far more."""
 AT_RANGE = 1.0 - 1e-6
@@ -119,22 +118,21 @@ def _loads_through_channel(channel: Channel, geometry: Geometry) -> tuple[str, .
 
 def _may_be_constant(run: Run, record: _ChannelStatistics, components: tuple[str, ...]) -> bool:
     """Whether the loads that reach a channel are constant, or have hardly begun, during its longest flatline."""
+    length = record.flatline_length
     if run.kind != "static":
-        return record.flatline_start == 0 and _has_flatline(record) and _begins_at_rest(run, record.flatline_length)
-    if record.flatline_length < LEAST_SAMPLES:
-        return False
-    loads = run.read(record.flatline_start, record.flatline_start + record.flatline_length).loads
+        return record.flatline_start == 0 and _has_flatline(record) and _begins_at_rest(run, length)
+    loads = run.read(record.flatline_start, record.flatline_start + length).loads if length >= LEAST_SAMPLES else None
     columns = [COMPONENTS.index(name) for name in components]
     return loads is not None and not np.ptp(loads[:, columns], axis=0).any()
 
 
 def _begins_at_rest(run: Run, samples: int) -> bool:
     """Whether the loads of the first samples are small: steps of a coarse converter may hide the response to them."""
-    if not run.has_loads or 2 * samples > run.samples:
-        return False
     first = run.read(0, samples).loads
-    largest = np.max([np.max(np.abs(block.loads), axis=0) for block in run.blocks() if block.loads is not None], axis=0)
-    return first is not None and bool(np.all(np.max(np.abs(first), axis=0) <= REST_SHARE * largest))
+    if first is None or 2 * samples > run.samples:
+        return False
+    sizes = [np.max(np.abs(block.loads), axis=0) for block in run.blocks() if block.loads is not None]
+    return bool(np.all(np.max(np.abs(first), axis=0) <= REST_SHARE * np.max(sizes, axis=0)))
 
 
 # ---- statistics of a channel -----------------------------------------------------------------------------------------

@@ -17,8 +17,7 @@ from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import inertia_by_motion
-from balance_cli.model.effects.places import Where, each_component, each_component_and_motion, unit_components
-from balance_cli.model.effects.search_hints import SearchHints
+from balance_cli.model.effects.places import Where, each_component_and_motion, unit_components
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -51,7 +50,6 @@ EFFECT = Effect(
     separated_by="Weigh what is beyond the force cell. A mass of the rig lowers the resonances in all sweeps.",
     place="a load component, or one and the other along which the mass moves",
     places=each_component_and_motion,
-    search=SearchHints(places=each_component),
     parameters=_parameters,
     apply=_apply,
 )
