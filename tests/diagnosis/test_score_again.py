@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.search import score_statistics
+from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.selection import confirm as confirm_module
 from balance_cli.diagnosis.selection.confirm import ConfirmedFit, score_again
@@ -76,3 +77,19 @@ def test_a_leading_candidate_keeps_the_number_of_its_start(late_channel):
             fit.model, fit.theta, batches, [replace(item, starts=(item.starts[score.start],))], few.score
         )
         assert score.gain == pytest.approx(alone.gain, rel=1e-6, abs=1e-9)
+
+
+def test_starts_that_are_scored_together_score_as_each_alone(late_channel):
+    fit, batches = late_channel
+    candidate = candidate_at("structural-damping", ("all",), fit.model.geometry)
+    assert len(candidate.starts) > 1
+    (together,) = score_statistics.scores(fit.model, fit.theta, batches, [candidate], SETTINGS.score)
+    alone = [
+        score_statistics.scores(fit.model, fit.theta, batches, [replace(candidate, starts=(start,))], SETTINGS.score)[0]
+        for start in candidate.starts
+    ]
+    best = max(alone, key=lambda score: score.gain)
+    assert together.start == alone.index(best)
+    assert together.gain == pytest.approx(best.gain, rel=1e-9)
+    assert together.fitted_step == pytest.approx(best.fitted_step, rel=1e-6, abs=1e-12)
+    assert len({round(score.gain, 6) for score in alone}) > 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.effects import EFFECTS
+from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_parameters
 
 Array = NDArray[np.float64]
 
@@ -23,6 +26,33 @@ def add_candidates(
         for candidate, number in candidates
     ]
     return geometry.model_copy(update={"effects": (*geometry.effects, *added)})
+
+
+def add_all_starts(
+    model: BalanceModel, theta: Array, trials: Sequence[tuple[Candidate, int]]
+) -> tuple[BalanceModel, Array, tuple[PlacedEffect, ...]]:
+    """Return the model with every candidate at the null of every start, its parameters, and the effects of the trials.
+
+    None of them changes the equations, so that they can stand beside each other. A further start of a candidate is an
+    effect of another name.
+    """
+    extended, null = extend_model(model, theta, add_candidates(model.geometry, [t for t in trials if t[1] == 0]))
+    further = {(item.label, k): _further_start(model.geometry, item, k) for item, k in trials if k > 0}
+    order = [effect.name for effect in EFFECTS]
+    effects = sorted(
+        (*extended.effects, *further.values()), key=lambda item: order.index(item.effect.name.split("#")[0])
+    )
+    parameters = effect_parameters(tuple(further.values()))
+    whole = BalanceModel(extended.geometry, extended.parameters + parameters, tuple(effects))
+    placed = tuple(further[item.label, k] if k else item.placed_effect for item, k in trials)
+    return whole, np.concatenate([null, parameters.value]), placed
+
+
+def _further_start(geometry: Geometry, candidate: Candidate, number: int) -> PlacedEffect:
+    """A candidate at the null of a further start, under a name of its own."""
+    alone = geometry.model_copy(update={"effects": (candidate.at_null(candidate.starts[number]),)})
+    (placed,) = declared_effects(alone)
+    return replace(placed, effect=replace(placed.effect, name=f"{placed.effect.name}#{number}"))
 
 
 def extend_model(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[BalanceModel, Array]:

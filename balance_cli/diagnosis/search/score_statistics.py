@@ -22,6 +22,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.bounded_gain import best_gain, one_sided_bounds
 from balance_cli.diagnosis.search.candidates import Candidate, parameters_of_interest
 from balance_cli.diagnosis.search.extended_models import (
+    add_all_starts,
     add_candidates,
     extend_model,
     free_names,
@@ -34,6 +35,7 @@ from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.batch import Batch, select_lines, split_by_run
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import BalanceModel
+from balance_cli.model.placed_effects import PlacedEffect
 
 Array = NDArray[np.float64]
 
@@ -77,10 +79,16 @@ def scores(
 ) -> tuple[Score, ...]:
     """Return the score of every candidate, the best of its starts."""
     best: dict[str, Score] = {}
+    trials = [
+        (candidate, number)
+        for candidate in candidates
+        for number in range(len(candidate.starts))
+        if _is_new_null(candidate, number)
+    ]
     separate = split_by_run(batches)
-    for number in range(max((len(candidate.starts) for candidate in candidates), default=0)):
-        with_start = [item for item in candidates if len(item.starts) > number and _is_new_null(item, number)]
-        for score in _scores_of_start(model, theta, separate, with_start, number, settings):
+    # The first starts are hundreds of parameters, which the forces of the further ones would carry along.
+    for group in ([trial for trial in trials if trial[1] == 0], [trial for trial in trials if trial[1] > 0]):
+        for score in _score_trials(model, theta, separate, group, settings):
             label = score.candidate.label
             if label not in best or score.gain > best[label].gain:
                 best[label] = score
@@ -146,29 +154,27 @@ def _is_new_null(candidate: Candidate, number: int) -> bool:
     return number == 0 or candidate.at_null(candidate.starts[number]) != candidate.at_null(candidate.starts[0])
 
 
-def _scores_of_start(
+def _score_trials(
     model: BalanceModel,
     theta: Array,
     batches: Sequence[Batch],
-    candidates: Sequence[Candidate],
-    number: int,
+    trials: Sequence[tuple[Candidate, int]],
     settings: ScoreSettings,
 ) -> list[Score]:
-    if not candidates:
+    """The score of each candidate from the start of this number."""
+    if not trials:
         return []
-    geometry = add_candidates(model.geometry, [(candidate, number) for candidate in candidates])
-    extended, null = extend_model(model, theta, geometry)
-    tested = [_tested_names(candidate) for candidate in candidates]
+    extended, null, placed = add_all_starts(model, theta, trials)
+    tested = [_tested_names(effect) for effect in placed]
     names = {name for each in tested for name in each}
     extended = hold_other_parameters(extended, model, names)
     indices = ParameterIndices.from_names(free_names(extended), tested)
     projected = project_out_fitted(extended, null, batches, indices, settings)
-    return [_score(item, number, part, settings) for item, part in zip(candidates, projected, strict=True)]
+    return [_score(*trial, part, settings) for trial, part in zip(trials, projected, strict=True)]
 
 
-def _tested_names(candidate: Candidate) -> list[str]:
-    """Full names of the candidate's parameters of interest."""
-    effect = candidate.placed_effect
+def _tested_names(effect: PlacedEffect) -> list[str]:
+    """Full names of the parameters of interest of an effect."""
     return [effect.full_name(item) for item in parameters_of_interest(effect.parameters)]
 
 
@@ -214,7 +220,7 @@ def apply_score_step(
     extended, null = extend_model(model, theta, add_candidates(model.geometry, [(score.candidate, score.start)]))
     step = np.zeros(len(null))
     step[[extended.parameters.index(name) for name in free_names(model)]] = score.fitted_step
-    step[[extended.parameters.index(name) for name in _tested_names(score.candidate)]] = score.step
+    step[[extended.parameters.index(name) for name in _tested_names(score.candidate.placed_effect)]] = score.step
     before = penalized_chi2(extended, null, batches)
     for fraction in settings.step_fractions:
         if penalized_chi2(extended, null + fraction * step, batches) < before:
