@@ -60,10 +60,11 @@ def transient_modes(
 
     Only those with a decay rate up to `fastest_decay` [1/s]. Without derivatives those arrays are empty (p = 0).
     """
-    return _join(
-        _structural_transients(system, spin, highest_frequency, fastest_decay, with_derivatives),
-        _high_pass_transients(system, fastest_decay, with_derivatives),
-    )
+    high_passes = _high_pass_transients(system, fastest_decay, with_derivatives)
+    if highest_frequency <= 0.0:  # the mean of a record, without any mode: no eigenvalues are needed
+        return high_passes
+    modes = _structural_transients(system, spin, highest_frequency, fastest_decay, with_derivatives)
+    return _join(modes, high_passes)
 
 
 def _structural_transients(
