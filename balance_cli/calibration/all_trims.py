@@ -125,6 +125,7 @@ def calibrate_all_trims(
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
+    points = _with_check_points(points, check_points)
     notes = points.series_reading.notes
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model = screened.fit, screened.fit.model
@@ -155,6 +156,14 @@ def calibrate_all_trims(
         series_notes=notes or None,
         term_choice=choice,
     )
+
+
+def _with_check_points(points: CalibrationPoints, is_check: NDArray[np.bool_] | None) -> CalibrationPoints:
+    """The points with those that check the model in their schedule; unloaded ones stand for the tare points there."""
+    tare = points.tare_points
+    if is_check is not None and tare is not None:
+        tare = tare | (is_check & ~np.any(points.loads, axis=1))
+    return replace(points, check_points=is_check, tare_points=tare)
 
 
 def _held_out_checks(

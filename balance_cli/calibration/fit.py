@@ -33,8 +33,9 @@ class CalibrationPoints:
     `calibrated_range` (k,) [N, N m] scales the loads; `run` (m,) is an index into `run_names`; `weight` (m,) follows
     from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs that do not
     state their attitude; None where no run does. `stated_series` (m,): labels of the load series, empty where a run
-    states none; `tare_points` (m,): rows stated to be tare points. `series` (m,): numbers of the load series where they
-    are known already. `reading_units` (c,): base units of the readings, V where none are given.
+    states none; `tare_points` (m,): rows stated to be tare points. `check_points` (m,): rows without weight that stand
+    in the schedule. `series` (m,): numbers of the load series where they are known already. `reading_units` (c,): base
+    units of the readings, V where none are given.
     """
 
     channel_names: tuple[str, ...]
@@ -48,6 +49,7 @@ class CalibrationPoints:
     gravity: Array | None = None
     stated_series: tuple[str, ...] = ()
     tare_points: NDArray[np.bool_] | None = None
+    check_points: NDArray[np.bool_] | None = None
     series: Index | None = None
     reading_units: tuple[str, ...] = ()
 
@@ -75,7 +77,7 @@ class CalibrationPoints:
             ScheduleRows(
                 x=self.x,
                 channels=self.channels,
-                used=self.weight > 0,
+                used=(self.weight > 0) | (np.zeros(m, bool) if self.check_points is None else self.check_points),
                 segment=self.attitude_segment,
                 run=self.run,
                 run_names=self.run_names,

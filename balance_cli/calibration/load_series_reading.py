@@ -122,11 +122,12 @@ def _candidates(rows: ScheduleRows, at: Index) -> list[_Candidate]:
         return [_Candidate("stated", np.array([numbers[label] for label in stated], np.intp))]
     x, tare = rows.x[at], rows.tare[at]
     inner_tares = np.any(tare[1:] & ~tare[:-1])
-    readings = [
-        (position, _split_at_tares(tare, position) if inner_tares else split_rows(x, position))
-        for position in TARE_POSITIONS
-        if not (inner_tares and position in (EACH_TARE, *_SPLIT_DIRECTIONS))
-    ]
+    if inner_tares:
+        positions = [each for each in TARE_POSITIONS if each not in (EACH_TARE, *_SPLIT_DIRECTIONS)]
+        by_tares = [(position, _split_at_tares(tare, position)) for position in positions]
+        readings = [(position, _split_at_changes(x, local)) for position, local in by_tares] + by_tares
+    else:
+        readings = [(position, split_rows(x, position)) for position in TARE_POSITIONS]
     regular = _readings_without(x, ~intruding_rows(x)) if not inner_tares else []
     default = dict(regular or readings)[_default_position(x)]
     readings += regular
@@ -177,6 +178,15 @@ def _split_at_tares(tare: Mask, position: str) -> Index:
         starts = np.where(ends > opens, ends, alone)
     inner = starts[(starts > 0) & (starts < len(tare))]
     return np.asarray(np.searchsorted(inner, np.arange(len(tare)), side="right"), np.intp)
+
+
+def _split_at_changes(x: Array, local: Index) -> Index:
+    """Number (r,) of series that also end where no load goes on to the next row: a tare point may be missing there."""
+    direction = np.where(np.abs(x) > MIN_LOAD_CHANGE, np.sign(x), 0.0)
+    is_loaded = np.any(direction != 0, axis=1)
+    goes_on = np.any((direction[1:] == direction[:-1]) & (direction[1:] != 0), axis=1)
+    ends = (local[1:] != local[:-1]) | (is_loaded[1:] & is_loaded[:-1] & ~goes_on)
+    return np.asarray(np.r_[0, np.cumsum(ends)], np.intp)
 
 
 def _number_series(rows: ScheduleRows, chosen: dict[int, _Candidate]) -> Index:

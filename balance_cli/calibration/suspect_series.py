@@ -188,7 +188,7 @@ def _suspect_channels(
     change = points.channels[rows] - points.channels[rows].mean(axis=0)
     errors = np.where(known, fit.cross_validation_errors[rows], change)  # a prediction of no change has no gain
     predicted = change - (errors - errors.mean(axis=0))
-    noise = robust_sigma(fit.cross_validation_errors)
+    noise = robust_sigma(np.where(known, fit.cross_validation_errors, 0.0))
     # The misfit of a linear model follows the load: it does not average out over the rows.
     sigma = noise / np.sqrt(np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny))
     if not any(_check_channel_gain(c, change, predicted, sigma, points.channel_names, "") for c in range(len(sigma))):

@@ -63,6 +63,28 @@ def test_stated_tare_points_end_where_the_readings_say():
     np.testing.assert_array_equal(replace(points, tare_points=tare).load_series, series)
 
 
+@pytest.mark.parametrize("without", [[20, 30], [30]])
+def test_series_without_their_tare_point_beside_stated_ones(without):
+    x, series = schedule(1, 0)
+    _, points = recorded(x, series)
+    kept = np.setdiff1d(np.arange(len(x)), without)
+    points = replace(points, channels=points.channels[kept], loads=points.loads[kept], run=points.run[kept])
+    points = replace(points, weight=points.weight[kept], tare_points=np.all(x[kept] == 0, axis=1))
+    np.testing.assert_array_equal(points.load_series, series[kept])
+
+
+def test_check_points_stand_in_the_schedule():
+    """All loads of a series are check points: its tare point is no outlier of another series."""
+    x, series = schedule(1, 0)
+    x, series = np.vstack([x, x[20:30] * 0.5 + x[:10], x[:20]]), np.r_[series, series[:30] + 6]
+    _, points = recorded(x, series)
+    is_check = (series == 6) & np.any(x != 0, axis=1)
+    points = replace(points, weight=np.where(is_check, 0.0, 1.0), tare_points=np.all(x == 0, axis=1))
+    whole = calibrate_all_trims(points, choice=LINEAR_TERMS, check_points=is_check)
+    np.testing.assert_array_equal(whole.load_series, series)
+    assert whole.outliers == () and whole.checks[0].applied.shape == (9, 6)
+
+
 @pytest.mark.parametrize("rows", [(4, 8), (13, 44), (25, 31), (36, 38)])
 @pytest.mark.parametrize("first", [0, 1])
 def test_two_exchanged_rows_are_named(rows, first):

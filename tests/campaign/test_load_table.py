@@ -110,6 +110,10 @@ HEAD = "Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n"
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        (
+            "Fx [%],My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n",
+            r"column `Fx \[%\]`: `%` is a unit of 1, where one of N is needed",
+        ),
         ("Fx,My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"points.csv, column `Fx`: has no unit. Write `Fx \[N\]`"),
         ("Fx [mm],My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"column `Fx \[mm\]`: `mm` is a unit of m"),
         ("Fx [Nn],My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"column `Fx \[Nn\]`: unknown unit `Nn`"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from balance_cli.io.table_text import TextTable
@@ -31,8 +31,15 @@ LOAD_WORDS = frozenset(
     )
 )
 """Words beside the name of a load (`Effort Fx`, `applied Mz`), in lower case; other words may mean something else."""
-POINT_WORDS = {"zero": "tare", "unloaded": "tare", "calibration": "load", "repeated": "repeat", "checkload": "check"}
+POINT_WORDS = {
+    **dict.fromkeys(("zero", "unloaded", "tara", "null", "nullpunkt", "leer", "avide"), "tare"),
+    **dict.fromkeys(("calibration", "loaded", "last", "belastung", "charge"), "load"),
+    **dict.fromkeys(("repeated", "repetition", "wiederholung"), "repeat"),
+    **dict.fromkeys(("checkload", "checkpoint", "kontrolle", "pruefpunkt", "verification"), "check"),
+}
 """Other words for the kinds of points."""
+STATISTIC_WORDS = ("std", "stdev", "stddev", "sd", "sigma", "rms", "noise", "min", "max", "unc", "uncertainty")
+"""Words beside the name of a channel (`B1_std`, `sigma B1`) for what is no reading of it."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +78,30 @@ def _identify(
 
 def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
     """Name and unit of a head in the ways in which they are written: whole, `Fx [N]`, `Fx / N`, `Fx, N`, `Fx_N`."""
-    yield head, None
     name, unit = split_unit(head)
+    # A unit in brackets is no part of the name, known or not; other brackets are.
+    if unit is None or not _names_a_quantity(unit):
+        yield head, None
     if unit is not None:
         yield name, unit
     for sign in (" / ", "/", ",", " in ", "_", " "):
         name, found, unit = head.partition(sign)
         if found and is_unit(unit):
             yield name.strip(), unit.strip()
+
+
+def _names_a_quantity(unit: str) -> bool:
+    return is_unit(unit) or not unit
+
+
+def is_statistic(name: str, others: Iterable[str]) -> bool:
+    """Whether a column is a statistic of one of the others, such as the scatter of its readings: `B1_std` of `B1`."""
+    plain, known = plain_name(name), {plain_name(other) for other in others}
+    return any(
+        (plain.endswith(word) and plain[: -len(word)] in known)
+        or (plain.startswith(word) and plain[len(word) :] in known)
+        for word in STATISTIC_WORDS
+    )
 
 
 def name_and_unit(table: TextTable, index: int) -> tuple[str, str | None]:

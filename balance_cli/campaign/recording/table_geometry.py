@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from balance_cli.campaign.recording.load_table import TableReading
-from balance_cli.campaign.recording.load_table_columns import LABELS, identify_columns, name_and_unit
+from balance_cli.campaign.recording.load_table_columns import LABELS, identify_columns, is_statistic, name_and_unit
 from balance_cli.campaign.recording.reading_units import channels_of_free_unit, declare_reading_units
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -44,6 +44,7 @@ def read_table_head(path: Path) -> TableHead:
     readings = {name: unit for name, unit in others if unit in (VOLTAGE, RATIO)}
     if not readings:  # counts only where nothing else can be a reading: rows and points are counted too
         readings = {name: unit for name, unit in others if unit == NUMBER}
+    readings = {name: unit for name, unit in readings.items() if not is_statistic(name, readings)}
     if "excitation" in names:
         readings = {name: RATIO if unit == VOLTAGE else unit for name, unit in readings.items()}
     return TableHead(
