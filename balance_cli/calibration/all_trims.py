@@ -125,8 +125,7 @@ def calibrate_all_trims(
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
-    points = _with_check_points(points, check_points)
-    notes = points.series_reading.notes
+    points = scheduled = _with_check_points(points, check_points)
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
@@ -153,7 +152,7 @@ def calibrate_all_trims(
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,
-        series_notes=notes or None,
+        series_notes=scheduled.series_reading.notes or None,
         term_choice=choice,
     )
 

@@ -122,7 +122,7 @@ HEAD = "Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n"
         ("Fx [N],My [N m],B1 [mV],B2 [mV]\n1,2,3,4\n", "is in mV, but the geometry declares channel `B1` in V/V"),
         ("Fx [N],fx [kN],My [N m],B1 [mV/V]\n1,1,2,3\n", r"`Fx \[N\]` is `Fx` too"),
         (HEAD + "1,2,3,4\n1,x,3,4\n", r"line 3, column `My \[N m\]`: `x` is not a number"),
-        ("point," + HEAD + "tara,1,2,3,4\n", "line 2, column `point`: `tara` is no kind"),
+        ("point," + HEAD + "loading,1,2,3,4\n", "line 2, column `point`: `loading` is no kind"),
         ("series," + HEAD + "a,1,2,3,4\n,1,2,3,4\n", "line 3, column `series`: the label is empty"),
     ],
 )

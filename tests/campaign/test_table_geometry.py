@@ -33,7 +33,7 @@ def call(*words, status=0):
 
 
 def test_the_head_tells_loads_channels_and_labels(tmp_path):
-    path = write(tmp_path / "p.csv", "Fx [N],Fz (N),B1 [mV/V],B2 mV/V,series,time [s]", extra=",1,5")
+    path = write(tmp_path / "p.csv", "Fx [N],Fz (N),B1 [mV/V],B2 mV/V,series,time [s],B1_std [mV/V]", extra=",1,5,2e-5")
     head = read_table_head(path)
     assert (head.hub_loads, head.loads, head.labels) == (("Fx", "Fz"), (), ("series",))
     assert head.channels == {"B1": "V/V", "B2": "V/V"} and head.rows == 24

@@ -97,11 +97,8 @@ def _names_a_quantity(unit: str) -> bool:
 def is_statistic(name: str, others: Iterable[str]) -> bool:
     """Whether a column is a statistic of one of the others, such as the scatter of its readings: `B1_std` of `B1`."""
     plain, known = plain_name(name), {plain_name(other) for other in others}
-    return any(
-        (plain.endswith(word) and plain[: -len(word)] in known)
-        or (plain.startswith(word) and plain[len(word) :] in known)
-        for word in STATISTIC_WORDS
-    )
+    rest = [strip(word) for strip in (plain.removesuffix, plain.removeprefix) for word in STATISTIC_WORDS]
+    return any(other != plain and other in known for other in rest)
 
 
 def name_and_unit(table: TextTable, index: int) -> tuple[str, str | None]:
