@@ -21,6 +21,7 @@ from studies.calibration_schedules import schedules_chunk, schedules_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.clean_campaigns import clean_chunk, clean_table
+from studies.clean_warnings import warnings_chunk, warnings_table
 from studies.consistency import consistency_table, table_in_page
 from studies.consistency_cases import CASES
 from studies.consistency_other_rigs import OTHER_RIGS, other_cases
@@ -200,6 +201,16 @@ def clean_campaigns(campaigns: int = 100, jobs: int = 2) -> None:
     """Rows that are flagged although nothing is wrong, and coverage, on five rigs."""
     table = clean_table(run_chunks("clean-campaigns", clean_chunk, range(campaigns), jobs))
     _write("clean_campaigns", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command("clean-warnings")
+@click.option("--campaigns", default=100, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def clean_warnings(campaigns: int = 100, jobs: int = 2) -> None:
+    """Warnings of the commands on clean campaigns of five rigs: all of them are false."""
+    table = warnings_table(run_chunks("clean-warnings", warnings_chunk, range(campaigns), jobs))
+    _write("clean_warnings", table)
     click.echo(table.to_string(index=False))
 
 
