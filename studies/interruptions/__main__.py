@@ -9,13 +9,15 @@ import click
 import numpy as np
 import pandas as pd
 
-from studies.interruptions.calls import Call, all_calls, run_command, small_campaign, start
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from studies.interruptions.calls import GEOMETRY, Call, all_calls, fingerprints, run_command, small_campaign, start
 from studies.interruptions.trials import (
     SIGNALS,
     Row,
     chain_words,
     interrupted_call,
     interrupted_chain,
+    killed_batch,
     limit_files,
     lose_rights,
     results_of,
@@ -25,19 +27,23 @@ from studies.interruptions.trials import (
     undisturbed,
     without_room,
 )
+from studies.wind_runs import write_wind_runs
 
 TABLES = Path(__file__).parents[1] / "tables"
 SMALL_DISK = 4096
 """Bytes of the full disk: one page, which a file fills."""
-PARTS = ("calls", "shared", "room", "chain")
+PARTS = ("calls", "shared", "room", "chain", "batch")
+BATCH_RUNS = 40
+"""Records of 30 s of a batch that is killed."""
 
 
 @click.command()
 @click.option("--part", "parts", multiple=True, type=click.Choice(PARTS), help="Only these parts.")
 @click.option("--moments", default=8, show_default=True, help="Of each command; every second one while it writes.")
 @click.option("--interruptions", default=10, show_default=True, help="Of the chain.")
+@click.option("--kills", default=20, show_default=True, help="Of the batch.")
 @click.option("--seed", default=1, show_default=True)
-def interruptions(parts: tuple[str, ...], moments: int, interruptions: int, seed: int) -> None:
+def interruptions(parts: tuple[str, ...], moments: int, interruptions: int, kills: int, seed: int) -> None:
     """What commands leave that signals end at random moments, that share an output, or that find no room."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -51,6 +57,8 @@ def interruptions(parts: tuple[str, ...], moments: int, interruptions: int, seed
                 rows = _shared(campaign, rng, folder)
             elif part == "room":
                 rows = _room(calls, folder)
+            elif part == "batch":
+                rows = _batch(folder, kills, rng)
             else:
                 rows = _chain(campaign, interruptions, rng, folder)
             table = pd.DataFrame(rows)
@@ -106,6 +114,21 @@ def _shared_chain(first: Call, second: Call, folder: Path) -> Row:
     }
 
 
+def _batch(folder: Path, kills: int, rng: np.random.Generator) -> list[Row]:
+    """Kill a reduction of many records at random moments, on one and on two processes in turn, and resume it."""
+    records = folder / "records"
+    records.mkdir()
+    files = write_wind_runs(records, load_geometry(GEOMETRY), BATCH_RUNS)
+    known = ("--calibration", folder / "calibration.h5", "--transfer", folder / "transfer.h5")
+    calls = [Call("reduce", (*files, *known, "-j", jobs, "-o", "OUT/l.h5"), ("l.h5",)) for jobs in ("1", "2")]
+    references = [undisturbed(call, folder / "undisturbed" / "out") for call in calls]
+    rows = []
+    for count in range(kills):
+        row = killed_batch(calls[count % 2], references[count % 2], rng, folder / "killed")
+        rows.append(_shown({"processes": 1 + count % 2, **row}))
+    return rows
+
+
 def _room(calls: dict[str, Call], folder: Path) -> list[Row]:
     rows = []
     for call in calls.values():
@@ -127,16 +150,30 @@ def _chain(campaign: Path, interruptions: int, rng: np.random.Generator, folder:
     _, status, duration = undisturbed(straight, folder / "straight" / "out")
     wanted = results_of(folder / "straight" / "out" / "results")
     rows = []
-    for name in ("balance run", "make"):
-        output = folder / f"chain-{name[:4]}" / "results"
+    for name in ("balance run", "make", "balance watch"):
+        output = folder / f"chain-{name.replace(' ', '-')}" / "results"
         output.parent.mkdir()
-        words = straight.words(output.parent) if name == "balance run" else chain_words(campaign, output)
+        if name == "balance watch":
+            straight = _watch(campaign, folder)
+            _, status, duration = undisturbed(straight, folder / "watched" / "out")
+            wanted = _loads_of(folder / "watched" / "out" / "results")
+        words = chain_words(campaign, output) if name == "make" else straight.words(output.parent)
         row = interrupted_chain(words, output, duration, interruptions // 2, rng)
-        found = results_of(output)
+        found = _loads_of(output) if name == "balance watch" else results_of(output)
         row |= {"chain": name, "undisturbed": status, "same digests": found == wanted}
         row["different"] = " ".join(key for key in {**found, **wanted} if found.get(key) != wanted.get(key))
         rows.append(_shown(row))
     return rows
+
+
+def _watch(campaign: Path, folder: Path) -> Call:
+    known = ("--calibration", folder / "calibration.h5", "--transfer", folder / "transfer.h5")
+    return Call("watch", (campaign, *known, "--once", "-o", "OUT/results"), ())
+
+
+def _loads_of(folder: Path) -> dict[str, str]:
+    """Return what identifies the table of loads; page and journal state when each file came."""
+    return {name: value for name, value in fingerprints(folder).items() if name == "loads.h5"}
 
 
 if __name__ == "__main__":

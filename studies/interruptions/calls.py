@@ -82,6 +82,9 @@ def all_calls(campaign: Path, folder: Path) -> list[Call]:
     run_command("calibrate", "-g", geometry, static, "-o", calibration)
     run_command("sweep-tf", "-g", geometry, sweep, "-o", transfer)
     run_command("reduce", *runs, *known, "-o", made)
+    shards = [folder / f"shard-{number}.h5" for number in (1, 2)]
+    for run, shard in zip(runs, shards, strict=True):
+        run_command("reduce", run, *known, "-o", shard)
     maps = [import_map(folder, scale) for scale in (1, 2)]
     return [
         Call("check", ("-g", geometry, static, sweep, *runs, "--json", "OUT/check.json"), ("check.json",)),
@@ -93,7 +96,16 @@ def all_calls(campaign: Path, folder: Path) -> list[Call]:
         Call("report", (calibration, transfer, made, "-o", "OUT/r.html"), ("r.html",)),
         Call("import", (maps[0], folder / "hover-1.csv", "-o", "OUT"), ("wind-1.h5",)),
         Call("export", (made, "-o", "OUT/l.csv"), ("l.csv",)),
+        Call("merge", (*shards, "-o", "OUT/a.h5"), ("a.h5",)),
+        Call("apply", (calibration, point_table(folder), "-o", "OUT/p.csv"), ("p.csv",)),
     ]
+
+
+def point_table(folder: Path) -> Path:
+    """Write a table of readings of the channel, and return it."""
+    path = folder / "points.csv"
+    path.write_text("\n".join(["z.strain [V]", *(f"{0.01 * i:.2f}" for i in range(200))]) + "\n")
+    return path
 
 
 def import_map(folder: Path, scale: int) -> Path:

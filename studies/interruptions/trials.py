@@ -123,6 +123,34 @@ def shared_output(first: Call, second: Call, rng: np.random.Generator, folder: P
     }
 
 
+def killed_batch(
+    call: Call, reference: tuple[dict[str, str], int, float], rng: np.random.Generator, folder: Path
+) -> Row:
+    """Kill a batch at a random moment, and resume it: the result is that of a batch that nothing disturbs."""
+    new, regular, duration = reference
+    output = folder / "out"
+    shutil.rmtree(folder, ignore_errors=True)
+    output.mkdir(parents=True)
+    process = start(call.words(output), folder / "tmp")
+    moment = rng.uniform(START_OF_PYTHON, duration)
+    time.sleep(moment)
+    process.kill()
+    process.communicate(timeout=LONGEST_CALL)
+    time.sleep(AFTERMATH)
+    kept = sum(max(0, len(path.read_bytes().splitlines()) - 1) for path in output.glob(".*.unfinished"))
+    after = start(call.words(output), folder / "tmp")
+    after.communicate(timeout=LONGEST_CALL)
+    return {
+        "moment [s]": round(moment, 2),
+        "undisturbed [s]": round(duration, 2),
+        "killed": process.returncode == -signal.SIGKILL,
+        "runs kept": kept,
+        "resumed": after.returncode == regular,
+        "same digest": fingerprints(output) == new,
+        "left after": " ".join([*leftovers(output), *(path.name for path in (folder / "tmp").rglob("*"))]),
+    }
+
+
 def results_of(folder: Path) -> dict[str, str]:
     """Return what identifies the results of a chain: without the logs, the state and the summaries of its steps."""
     return {
