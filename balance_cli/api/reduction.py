@@ -86,7 +86,7 @@ def reduce(
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")
-    reference = None if calibration is None else zero_reference(zeros, calibration)
+    reference = None if calibration is None else zero_reference(zeros, calibration, min(used, key=lambda run: run.name))
     fewer = ""
     if harmonics is None:
         harmonics, fewer = _harmonics(used, geometry, source, rotor)

@@ -87,13 +87,20 @@ def _geometry(declared: Geometry, calibration: Calibration | None) -> Geometry:
 
 
 def read_zero(
-    session: Session, calibration: Calibration | None, path: Path | None, records: tuple[Run, ...]
+    session: Session,
+    calibration: Calibration | None,
+    path: Path | None,
+    zeros: tuple[Run, ...],
+    record: Run | None = None,
 ) -> ZeroRecord | None:
-    """Return the wind-off record: the one given, or the one among the runs; none without a calibration."""
+    """Return the wind-off record: the one given, or the one among `zeros`; none without a calibration.
+
+    A check or wind `record` shows the steps of the converter.
+    """
     from balance_cli.steps.reduction_inputs import zero_reference
 
     if calibration is None:
         return None
     if path is not None:
-        return zero_reference(session.runs([path], calibration.geometry, role="zero"), calibration)
-    return zero_reference([run for run in records if run.kind == "zero"], calibration)
+        zeros = tuple(session.runs([path], calibration.geometry, role="zero"))
+    return zero_reference(zeros, calibration, record)

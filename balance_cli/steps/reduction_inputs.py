@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.channel_health import DEAD, live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_digest
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.coarse_zero import coarse_zero, join_zeros
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
 from balance_cli.reduction.response_sources import ResponseSource, highest_frequency
 from balance_cli.reduction.result import RunLoads, TimeDomainResult
@@ -84,10 +85,11 @@ def require_same_geometry(geometry: Geometry, calibration: Calibration, file: st
         raise UserError(fault, "calibration", remedy="Calibrate with Fx to Mz; `apply` gives loads of other components")
 
 
-def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord | None:
+def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run | None = None) -> ZeroRecord | None:
     """Return the wind-off record that mean loads count from, None without one.
 
-    Raises UserError for several runs, for a run of another kind, and where too few channels of means can be used.
+    Where too few channels move in it, a check or wind `record` shows whether it is the converter that is coarse. Raises
+    UserError for several runs, for a run of another kind, and where too few channels of means can be used.
     """
     if len(zeros) > 1:
         names = ", ".join(run.name for run in zeros)
@@ -102,7 +104,10 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord
     live = [name for name in dc_channels if name in health.live]
     least = min(len(next(iter(calibration.trims.values())).components), len(dc_channels))
     if len(live) < least:
-        # A wind-off record whose noise is below one step of the converter: the zero may be half a step off, unknown.
+        constant = [name for name in dc_channels if health.left_out.get(name, "").startswith(DEAD)]
+        coarse = coarse_zero(run, record, constant) if record is not None and constant else None
+        if coarse is not None and len(live) + len(constant) >= least:
+            return join_zeros(zero_record(run, live), coarse)
         reasons = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items() if name in dc_channels)
         usable = (
             f"{len(live)} of {len(dc_channels)} strain and torque channels" if live else "no strain or torque channel"

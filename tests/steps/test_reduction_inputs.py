@@ -1,4 +1,4 @@
-"""Inputs of a reduction: a wind-off record that does not move is no zero."""
+"""Inputs of a reduction: a wind-off record that does not move is a zero where the converter is coarse."""
 
 from dataclasses import replace
 
@@ -33,3 +33,29 @@ def test_a_zero_run_with_too_few_channels_is_refused_with_their_reasons():
         UserError, match=r"^zero, channels: 5 of \d+ strain and torque channels can be used .*dead: const"
     ):
         zero_reference([still], calibration())
+
+
+def test_the_zero_of_a_coarse_converter_is_known_to_half_a_step():
+    step = 0.02
+    zero, wind = (
+        replace(run, source=MemorySource(step * np.round(run.read().channels / step + level), None))
+        for run, level in (
+            (record("zero", np.zeros(6), noise=0.0, kind="zero"), 3.0),
+            (record("wind", np.full(6, 40.0), noise=step, kind="wind", seed=2), 0.0),
+        )
+    )
+    reference = zero_reference([zero], calibration(), wind)
+    assert reference is not None
+    np.testing.assert_allclose(reference.mean, zero.read().channels[0])
+    np.testing.assert_allclose(reference.variance, step**2 / 12.0, rtol=1e-6)
+    moving = zero.read().channels.copy()
+    moving[:, 0] += 1e-3 * np.random.default_rng(1).standard_normal(zero.samples)
+    partly = zero_reference([replace(zero, source=MemorySource(moving, None))], calibration(), wind)
+    assert partly is not None
+    assert partly.channel_names == tuple(NAMES)
+    assert partly.variance[0] < 1e-3 * partly.variance[1] == pytest.approx(1e-3 * step**2 / 12.0, rel=1e-6)
+    fine = record("wind", np.full(6, 40.0), kind="wind", seed=2)
+    dead = replace(zero, source=MemorySource(np.zeros_like(zero.read().channels), None))
+    for run, other in ((zero, fine), (dead, wind)):
+        with pytest.raises(UserError, match="no strain or torque channel can be used"):
+            zero_reference([run], calibration(), other)
