@@ -19,7 +19,14 @@ from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
 from balance_cli.io.artefacts import StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
-from balance_cli.io.formats import ARTEFACT_FORMATS, GEOMETRY_FORMAT, IMPORT_FORMAT, MATRIX_FORMAT, RUN_FORMAT
+from balance_cli.io.formats import (
+    ARTEFACT_FORMATS,
+    GEOMETRY_FORMAT,
+    HISTORY_FORMAT,
+    IMPORT_FORMAT,
+    MATRIX_FORMAT,
+    RUN_FORMAT,
+)
 from balance_cli.io.result_view import plural
 from balance_cli.io.sniff import describe_file, require_file, sniff_format
 
@@ -30,7 +37,7 @@ POINT_LOADS_HEADER = "run,line,"
 
 MATRIX_FAMILY = MATRIX_FORMAT.partition("/")[0] + "/"
 
-FORMATS_NOT_READ = {"balance-history/1": "history of hub loads", "balance-truth/1": "truth behind simulated runs"}
+FORMATS_NOT_READ = {"balance-truth/1": "truth behind simulated runs"}
 """Formats that no command reads."""
 
 
@@ -71,6 +78,7 @@ def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
         RUN_FORMAT: _check_run_file,
         **dict.fromkeys(ARTEFACT_FORMATS, _check_artefact_file),
         IMPORT_FORMAT: _check_import_map,
+        HISTORY_FORMAT: _check_history_file,
     }
     if declared in readers:
         return readers[declared](path, geometry)
@@ -194,6 +202,16 @@ def _gap_faults(run: Run, path: Path) -> Iterator[UserError]:
             remedy = "Commands leave these load points out"
         place = f"channel {name}" if name in run.channel_names else f"loads, {name}"
         yield UserError(fault, str(path), place, remedy)
+
+
+def _check_history_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    from balance_cli.reduction.stored_history import read_history
+
+    try:
+        (about,) = read_history(path).summary_lines()
+    except UserError as error:
+        return FileFinding(HISTORY_FORMAT, "history of hub loads", faults=(error,))
+    return FileFinding(HISTORY_FORMAT, about[0].lower() + about[1:], path.name)
 
 
 def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:

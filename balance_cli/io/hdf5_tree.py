@@ -236,10 +236,17 @@ def _read_group(group: h5py.Group, seen: dict[Any, str], size: list[int]) -> Tre
 
 def _check_size(dataset: h5py.Dataset, size: list[int]) -> None:
     """Raise ValueError where a dataset is larger than what is stored of it can be, or all together are too large."""
+    size[0] += require_stored_values(dataset)
+    if size[0] > MOST_TREE_BYTES:
+        raise ValueError(f"{dataset.name} and those before it declare {size[0]} bytes, more than {MOST_TREE_BYTES}")
+
+
+def require_stored_values(dataset: h5py.Dataset) -> int:
+    """Return the bytes that a dataset declares. Raises ValueError where what is stored cannot be so many."""
     declared, stored = dataset.nbytes if dataset.shape is not None else 0, dataset.id.get_storage_size()
-    size[0] += declared
-    if declared > LARGEST_DEFLATION * (stored + COMPRESSION_THRESHOLD) or size[0] > MOST_TREE_BYTES:
+    if declared > LARGEST_DEFLATION * (stored + COMPRESSION_THRESHOLD):
         raise ValueError(f"{dataset.name} declares {declared} bytes, of which {stored} are stored")
+    return int(declared)
 
 
 def _value(dataset: h5py.Dataset) -> Any:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import HISTORY_FORMAT
+from balance_cli.io.hdf5_tree import require_stored_values
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.result_view import ResultView
 from balance_cli.io.sniff import attribute_text
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
+
+DATASETS = ("time", "loads", "sigma")
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,10 +62,12 @@ def read_history(path: Path) -> StoredHistory:
 
     try:
         with h5py.File(path, "r") as file:
-            time, loads, sigma = (np.asarray(file[name][()], float) for name in ("time", "loads", "sigma"))
+            for name in DATASETS:
+                require_stored_values(file[name])
+            time, loads, sigma = (np.asarray(file[name][()], float) for name in DATASETS)
             run = attribute_text(file.attrs.get("run")) or path.stem
             has_mean = "mean" not in file.attrs
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         fault = f"is no sound `{HISTORY_FORMAT}` file ({error})"
         raise UserError(fault, str(path), remedy="Reduce the run again with --history") from error
     if loads.shape != (len(time), len(COMPONENTS)) or sigma.shape != loads.shape:

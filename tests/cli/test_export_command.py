@@ -236,6 +236,14 @@ def test_a_history_in_every_format(folder, tmp_path):
         assert np.array_equal(file["wind-1/Fz/load"], loads[:, 2])
     refused = call("export", path, "--wide", "-o", tmp_path / "w.csv", status=2)
     assert "only loads have a table" in refused.stderr
+    assert f"history of the hub loads of run wind-1: {len(time)} samples" in call("check", path).stdout
+    empty = tmp_path / "empty.h5"
+    with h5py.File(empty, "w") as file:
+        file.attrs["format"] = "balance-history/1"
+        for name in ("time", "loads", "sigma"):
+            file.create_dataset(name, shape=(10**9, 6), dtype=float, chunks=(1000, 6))
+    assert "of which 0 are stored" in call("check", empty, status=2).stdout
+    assert "of which 0 are stored" in call("export", empty, "-o", tmp_path / "e.csv", status=2).stderr
 
 
 def test_spectra_are_on_the_page(folder, tmp_path):
