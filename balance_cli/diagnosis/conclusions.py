@@ -198,6 +198,7 @@ def _added(trial: Trial, label: str) -> bool:
 def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settings: SearchSettings) -> tuple[str, ...]:
     """Return notes on what the runs leave untested, and on a chi-square that is too small."""
     notes = [departure.description for departure in declared_agreement(updated).departures]
+    notes += describe_offsets(fit)
     bin_sums = any(run.waveform is not None and run.waveform.lines_are_bin_sums for run in spectra.lines)
     too_good = updated.quality.chi2_per_dof < settings.selection.too_good_chi2_per_dof
     if fit.model.system(fit.theta).equations.nonlinear_terms and bin_sums and too_good:
@@ -215,3 +216,14 @@ def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settin
     if not spectra.statics:
         notes.append("no static run: the static response was not tested")
     return tuple(notes)
+
+
+def describe_offsets(fit: Fit) -> list[str]:
+    """Say that offsets of channels change no load: the zeros of bridges are everyday, and look like an effect."""
+    channels = [
+        place for effect in fit.model.effects if effect.effect.name == "channel-offset" for place in effect.where
+    ]
+    if not channels or fit.model.system(fit.theta).equations.has_nonlinear_terms:
+        return []
+    text = "no harmonic load depends on such zeros, and a zero run takes them out of the mean loads"
+    return [f"channel-offset of {', '.join(channels)}: {text}"]

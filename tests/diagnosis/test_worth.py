@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.conclusions import describe_offsets
 from balance_cli.diagnosis.selection.effect_selection import refit_without_effect
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
@@ -66,6 +67,7 @@ def test_it_cannot_be_told_without_a_rotor_speed_or_of_what_is_no_response(fitte
     still = replace(fit, model=replace(fit.model, geometry=fit.model.geometry.model_copy(update={"rotor": None})))
     assert effect_worth(still, effects["time-delay"], batches) is None
     assert effect_worth(fit, effects["channel-offset"], batches) is None
+    assert describe_offsets(fit)[0].startswith("channel-offset of x.strain: no harmonic load depends on such zeros")
 
 
 @pytest.mark.parametrize(
