@@ -229,16 +229,11 @@ def _read_group(group: h5py.Group, seen: dict[Any, str], size: list[int]) -> Tre
                 raise ValueError(f"{group.name}/{name} is a link to the group {seen[item.id]}")
             tree[_key_of_link(name)] = _read_group(item, {**seen, item.id: item.name}, size)
         else:
-            _check_size(item, size)
+            size[0] += require_stored_values(item)
+            if size[0] > MOST_TREE_BYTES:
+                raise ValueError(f"{item.name} and what is before it declare {size[0]} bytes")
             tree[_key_of_link(name)] = _value(item)
     return tree
-
-
-def _check_size(dataset: h5py.Dataset, size: list[int]) -> None:
-    """Raise ValueError where a dataset is larger than what is stored of it can be, or all together are too large."""
-    size[0] += require_stored_values(dataset)
-    if size[0] > MOST_TREE_BYTES:
-        raise ValueError(f"{dataset.name} and those before it declare {size[0]} bytes, more than {MOST_TREE_BYTES}")
 
 
 def require_stored_values(dataset: h5py.Dataset) -> int:

@@ -22,18 +22,20 @@ OFF_GRID = 0.05
 
 
 def coarse_zero(zero: Run, record: Run, channel_names: Sequence[str]) -> ZeroRecord | None:
-    """Return the zero of a run in which each of the named channels is constant, by the converter's steps in a `record`.
+    """Return the zero of those named channels of a run that are constant, by the converter's steps in a `record`.
 
     Any reading within half a step gives the same value, so that the variance is the square of the step over 12 (Widrow
     and Kollar, Quantization Noise, 2008, chapter 4); no average makes it smaller. Returns None where the record shows
     no steps, where a channel has none of its values, and where all are 0 V, as of an amplifier without power.
     """
-    names = tuple(name for name in channel_names if name in zero.channel_names and name in record.channel_names)
+    names = [name for name in channel_names if name in zero.channel_names and name in record.channel_names]
+    quiet = read_channels(zero, names)
+    names = [name for name, extent in zip(names, np.ptp(quiet, axis=0), strict=True) if extent == 0.0]
     level, values = read_channels(zero, names)[0], read_channels(record, names, 0, min(MOST_SAMPLES, record.samples))
     steps = np.array([converter_step(column) for column in values.T])
-    if not names or not level.any() or not np.all(steps > 0) or not np.all(_on_grid((level - values[0]) / steps)):
+    if not level.any() or not np.all(steps > 0) or not np.all(_on_grid((level - values[0]) / steps)):
         return None
-    return ZeroRecord(zero.name, names, level, steps**2 / 12.0, mean_temperature(zero))
+    return ZeroRecord(zero.name, tuple(names), level, steps**2 / 12.0, mean_temperature(zero))
 
 
 def join_zeros(first: ZeroRecord, second: ZeroRecord) -> ZeroRecord:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.campaign.recording.channel_health import DEAD, live_channels
+from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_digest
@@ -104,9 +104,9 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
     live = [name for name in dc_channels if name in health.live]
     least = min(len(next(iter(calibration.trims.values())).components), len(dc_channels))
     if len(live) < least:
-        constant = [name for name in dc_channels if health.left_out.get(name, "").startswith(DEAD)]
-        coarse = coarse_zero(run, record, constant) if record is not None and constant else None
-        if coarse is not None and len(live) + len(constant) >= least:
+        others = [name for name in dc_channels if name not in live]
+        coarse = None if record is None else coarse_zero(run, record, others)
+        if coarse is not None and len(live) + len(coarse.channel_names) >= least:
             return join_zeros(zero_record(run, live), coarse)
         reasons = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items() if name in dc_channels)
         usable = (

@@ -52,8 +52,6 @@ REST_SHARE = 0.1
 """Loads at the start of a record, over the largest, up to which it begins at rest: a hundredth of the power is lost."""
 SMALLEST_PEAK = 1e-60
 """Volts below which no channel stays throughout; the fourth power is still a number, and rounding leaves far more."""
-DEAD = "dead: constant at"
-"""Begin of the reason for which a channel is left out that never moves."""
 AT_RANGE = 1.0 - 1e-6
 """Share of the declared range from which a sample is clipped; the margin is that of rounding to float32."""
 
@@ -259,7 +257,7 @@ def _magnitude_fault(record: _ChannelStatistics) -> str:
 
 def _constant_fault(record: _ChannelStatistics) -> str:
     constant = record.samples >= LEAST_SAMPLES and record.flatline_length == record.samples
-    return f"{DEAD} {record.flatline_value:.6g} V" if constant else ""
+    return f"dead: constant at {record.flatline_value:.6g} V" if constant else ""
 
 
 def _flatline_fault(record: _ChannelStatistics) -> str:
