@@ -279,6 +279,21 @@ def test_a_mode_that_stiffens_with_level_is_found():
     assert change == pytest.approx(0.2, abs=0.03) and "damping" not in row.finding
 
 
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [(NAMES[1:3], ", ".join(NAMES[1:3]) + " read"), (NAMES, "all channels read"), ((), "equal")],
+    ids=["a box", "the force cell", "nothing"],
+)
+def test_a_gain_that_changes_between_runs_is_told_from_modes(names, words):
+    changed = dict.fromkeys(names, np.full(len(FREQUENCY), 1.02))
+    runs = [swept_lines("Fz", 4.0, 1), swept_lines("Fz", 10.0, 2, changed=changed)]
+    (row,) = level_tests(runs, RIG, SETTINGS.data_tests)
+    assert words in row.finding
+    if names:
+        factor, sigma = number(row.finding, "read ")
+        assert abs(factor - 1.02) < 4 * sigma < 4e-3 and "frequencies" not in row.finding
+
+
 def test_lines_of_two_components_are_compared_where_one_alone_is_driven():
     """Interleaved lines serve; where both act at once nothing can be said without a model."""
     turns = np.stack([np.arange(len(FREQUENCY)) % 2 == 0, np.arange(len(FREQUENCY)) % 2 == 1], axis=1)

@@ -129,7 +129,7 @@ def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTes
     if len(loaded) < FEWEST_CHANNELS:
         return None
     value = np.array([change.value for change in changes])
-    fits = [_ChannelFit.of(value[:, kind, loaded], weight[:, kind, loaded]) for kind in (GAIN, DELAY)]
+    fits = [ChannelFit.of(value[:, kind, loaded], weight[:, kind, loaded]) for kind in (GAIN, DELAY)]
     dof, limit = float(len(loaded) - 1), min(change.dof for change in changes)
     p_values = [chi2_p_value(fit.chi2, (dof,), (limit,)) for fit in fits]
     kind, p_value = int(np.argmin(p_values)), bonferroni_min_p_value(p_values)
@@ -142,15 +142,15 @@ def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTes
 
 
 @dataclass(frozen=True)
-class _ChannelFit:
-    """N `matrix` (c, c) and b `right` (c,) of the channels, and the weighted means (c,) `mean` of their changes."""
+class ChannelFit:
+    """Changes of channels relative to each other: N `matrix` (c, c), b `right` (c,), and weighted means `mean` (c,)."""
 
     matrix: Array
     right: Array
     mean: Array
 
     @classmethod
-    def of(cls, value: Array, weight: Array) -> _ChannelFit:
+    def of(cls, value: Array, weight: Array) -> ChannelFit:
         """The fit of changes (r, c) with weights (r, c)."""
         total = np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
         matrix = np.diag(weight.sum(axis=0)) - weight.T @ (weight / total)

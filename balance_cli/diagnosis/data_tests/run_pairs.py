@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.data_test_settings import DataTestSettings, RunPairSettings
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
+from balance_cli.diagnosis.data_tests.gain_changes import describe_gain_change
 from balance_cli.diagnosis.data_tests.high_pass_transient import (
     high_pass_transient,
     remove_transients,
@@ -218,6 +219,13 @@ def _test(name: str, place: str, change: _Change, finding_suffix: str, settings:
     excess = np.array([chi2[band].sum() / (2.0 * c * len(band)) for band in bands])
     gains = 2.0 * np.abs(modal) ** 2 / np.where(sigma > 0, sigma, np.inf) ** 2
     finding = _describe_location(change, bands[int(np.argmax(excess))])
+    variance = 1.0 / np.diagonal(change.precision, axis1=1, axis2=2).real
+    of_gains = describe_gain_change(
+        change.channels, change.change, change.response, variance, settings.significance_level
+    )
+    if of_gains:
+        finding = f"{finding}; {of_gains} {finding_suffix}"
+        return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, finding)
     best = int(np.argmax(gains))
     # The remaining chi-square widens sigma (Birge ratio), because the derivative is taken at one point only.
     remaining = (chi2[bands[best]].sum() - gains[best]) / (2.0 * c * len(bands[best]))
