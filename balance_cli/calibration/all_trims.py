@@ -16,6 +16,7 @@ from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration
 from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
 from balance_cli.calibration.outliers import Outlier, ScreenedFit
 from balance_cli.calibration.own_products import own_product_notes
+from balance_cli.calibration.random_terms import fit_random_terms
 from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
@@ -63,7 +64,8 @@ class AllTrimsCalibration:
     of the balance without any load.
 
     `load_series` (m,): number of the load series of each row; `series_notes`: how open tare points were read.
-    `term_choice`: which terms the model could have.
+    `term_choice`: which terms the model could have. `random_terms`: the model that computes loads, where its terms are
+    not the selected ones of `model`.
     """
 
     model: CalibrationModel
@@ -85,6 +87,12 @@ class AllTrimsCalibration:
     load_series: Index | None = field(default=None, metadata={"omit_if_none": True})
     series_notes: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     term_choice: TermChoice | None = field(default=None, metadata={"omit_if_none": True})
+    random_terms: CalibrationModel | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def loads_model(self) -> CalibrationModel:
+        """The model by which loads are computed: that with random terms where there is one."""
+        return self.model if self.random_terms is None else self.random_terms
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -95,7 +103,7 @@ class AllTrimsCalibration:
     def untested_products(self) -> UntestedProducts | None:
         """Products of two loads that the rows that were fitted could not tell; None where there are none."""
         block = self.run if self.load_series is None else self.load_series
-        return find_untested_products(self.model, self.loads[self.used], block[self.used])
+        return find_untested_products(self.loads_model, self.loads[self.used], block[self.used])
 
     @property
     def level_weight_loads(self) -> Array:
@@ -129,10 +137,12 @@ def calibrate_all_trims(
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
-    noise = _estimate_noise(points, fit, used, repeat_scatter)
+    random = fit_random_terms(total, fit) if choice.is_search else None
+    by = fit if random is None else random
+    noise = _estimate_noise(points, by, used, repeat_scatter)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
-    untested = find_untested_products(model, total.loads[used], points.load_series[used])
-    models = CheckModels(model, noise, direct, untested)
+    untested = find_untested_products(by.model, total.loads[used], points.load_series[used])
+    models = CheckModels(by.model, noise, direct, untested)
     held_out = _held_out_checks(models, checks, tares, check_gravity or {})
     return AllTrimsCalibration(
         model=model,
@@ -148,12 +158,13 @@ def calibrate_all_trims(
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
         screening_notes=_screening_notes(points, screened),
         non_iterative=direct,
-        checks=(*held_out, *_check_points_by_run(total, fit, models, check_points)),
+        checks=(*held_out, *_check_points_by_run(total, by, models, check_points)),
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,
         series_notes=scheduled.series_reading.notes or None,
         term_choice=choice,
+        random_terms=None if random is None else random.model,
     )
 
 

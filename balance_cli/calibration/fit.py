@@ -168,7 +168,7 @@ def refit_terms(points: CalibrationPoints, model: CalibrationModel) -> Calibrati
 
 
 @dataclass(frozen=True)
-class _ChannelFits:
+class ChannelFits:
     """Fits of all channels, each with its selected columns of X (m, p), to the m rows `used` of the points."""
 
     points: CalibrationPoints
@@ -205,10 +205,11 @@ def _fit_terms(
         solve_least_squares(X[:, list(selected)], points.channels[used][:, [c]], load_series, w)
         for c, selected in enumerate(channel_terms)
     )
-    return _assemble_fit(_ChannelFits(points, used, X, tuple(channel_terms), fits), terms, unsupported)
+    return assemble_fit(ChannelFits(points, used, X, tuple(channel_terms), fits), terms, unsupported)
 
 
-def _assemble_fit(channels: _ChannelFits, terms: Sequence[Term], unsupported: dict[Term, str]) -> CalibrationModelFit:
+def assemble_fit(channels: ChannelFits, terms: Sequence[Term], unsupported: dict[Term, str]) -> CalibrationModelFit:
+    """The model of all channels, and its errors in all rows, from the fits of the channels."""
     points, w = channels.points, channels.weight
     residuals, press = channels.stack(lambda fit: fit.residuals), channels.stack(lambda fit: fit.press_residuals)
     left_out = channels.stack(lambda fit: fit.cross_validation_errors(channels.load_series))
@@ -236,12 +237,12 @@ def _assemble_fit(channels: _ChannelFits, terms: Sequence[Term], unsupported: di
     return CalibrationModelFit(model, residuals, press, left_out, zero_covariance)
 
 
-def _terms_in_model(channels: _ChannelFits) -> list[int]:
+def _terms_in_model(channels: ChannelFits) -> list[int]:
     """Indices of the terms that at least one channel has."""
     return sorted(set().union(*channels.selected))
 
 
-def _coefficient_tables(channels: _ChannelFits) -> dict[str, Array]:
+def _coefficient_tables(channels: ChannelFits) -> dict[str, Array]:
     """Coefficients and what is known of them, by the field of CalibrationModel, for the p terms of the model."""
     place = {term: i for i, term in enumerate(_terms_in_model(channels))}
     p, c = len(place), len(channels.fits)
@@ -257,7 +258,7 @@ def _coefficient_tables(channels: _ChannelFits) -> dict[str, Array]:
     return {"coefficients": coefficients, "covariance": covariance, **tables}
 
 
-def _series_zeros(channels: _ChannelFits) -> tuple[Array, Array]:
+def _series_zeros(channels: ChannelFits) -> tuple[Array, Array]:
     """Zeros (s, c) of the load series [V], and the covariance (c, s, s) of each channel's zeros.
 
     With M (s, p) the means of the terms in each series: s^2 (diag(1/n) + M (R'R)^-1 M').

@@ -63,7 +63,7 @@ class LeastSquares:
     inverse: Array
     weight: Array
     block: Index
-    dof: int
+    dof: float
     Q: Array
 
     @property

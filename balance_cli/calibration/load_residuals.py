@@ -18,6 +18,7 @@ from balance_cli.campaign.rig.load_components import FullScale, full_scale
 Array = NDArray[np.float64]
 
 ITERATIVE, LINEAR, NON_ITERATIVE = "iteration with the calibration model", "linear model", "non-iterative method"
+RANDOM_TERMS = "iteration with random nonlinear terms"
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,10 @@ def load_residuals(calibration: Calibration) -> LoadResiduals | None:
     all_trims = calibration.all_trims
     if all_trims is None or not len(all_trims.loads):
         return None
-    model = all_trims.model
-    used = np.isfinite(all_trims.residuals).all(axis=1)
+    model = all_trims.loads_model
+    used = np.asarray(np.isfinite(all_trims.residuals).all(axis=1))
     computed = np.full(all_trims.loads.shape, np.nan)
-    change = model.readings(all_trims.loads[used]) + all_trims.residuals[used]
-    computed[used], method = _computed_loads(all_trims, change)
+    computed[used], method = _computed_loads(all_trims, _readings_less_zero(all_trims, used))
     if not np.isfinite(computed).any():
         return None
     return LoadResiduals(
@@ -93,9 +93,20 @@ def _computed_loads(all_trims: AllTrimsCalibration, change: Array) -> tuple[Arra
     """Loads (m, k) from readings (m, c) [V] less the zero; NaN where the iteration does not converge."""
     if all_trims.non_iterative is not None:
         return all_trims.non_iterative.loads(change), NON_ITERATIVE
-    loads, _ = all_trims.model.loads(change)
+    loads, _ = all_trims.loads_model.loads(change)
     finite = np.isfinite(loads).all(axis=1, keepdims=True)
+    if all_trims.random_terms is not None:
+        return np.where(finite, loads, np.nan), RANDOM_TERMS
     return np.where(finite, loads, np.nan), ITERATIVE if all_trims.model.is_nonlinear else LINEAR
+
+
+def _readings_less_zero(all_trims: AllTrimsCalibration, used: NDArray[np.bool_]) -> Array:
+    """Readings (m, c) of the rows that were fitted, less the zeros of the model or method that computes the loads."""
+    change = all_trims.model.readings(all_trims.loads[used]) + all_trims.residuals[used]
+    if all_trims.random_terms is None or all_trims.non_iterative is not None or all_trims.load_series is None:
+        return change
+    series = np.unique(all_trims.load_series[used], return_inverse=True)[1]
+    return np.asarray(change + (all_trims.model.zeros - all_trims.random_terms.zeros)[series])
 
 
 def _row_numbers(run: NDArray[np.intp]) -> NDArray[np.intp]:

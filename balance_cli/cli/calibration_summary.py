@@ -13,6 +13,7 @@ from balance_cli.cli.temperature_summary import temperature_summary
 if TYPE_CHECKING:
     from balance_cli.calibration.all_trims import AllTrimsCalibration
     from balance_cli.calibration.check_loads import CheckLoads
+    from balance_cli.calibration.math_model import CalibrationModel
     from balance_cli.calibration.noniterative import NonIterativeModel
     from balance_cli.calibration.result import Calibration, TrimCalibration
     from balance_cli.calibration.suspect_series import SuspectLoadSeries
@@ -100,7 +101,7 @@ def math_model_summary(all_trims: AllTrimsCalibration, geometry: Geometry) -> di
     from balance_cli.campaign.rig.load_components import full_scale
 
     model, channels, drift = all_trims.model, all_trims.model.channel_names, all_trims.drift
-    proof, scale = model.contraction(), full_scale(geometry, model.components, model.calibrated_range)
+    proof, scale = all_trims.loads_model.contraction(), full_scale(geometry, model.components, model.calibrated_range)
     return {
         "terms": {name: nonlinear_terms_summary(all_trims, c) for c, name in enumerate(channels)},
         "linear": {
@@ -123,6 +124,7 @@ def math_model_summary(all_trims: AllTrimsCalibration, geometry: Geometry) -> di
             "drift_per_series": _values_with_sigma(channels, drift.slope, drift.slope_sigma),
             "scatter_chi2_per_dof": dict(zip(channels, drift.chi2_per_dof, strict=True)),
         },
+        "random_terms": None if all_trims.random_terms is None else _random_terms_summary(all_trims.random_terms),
         "non_iterative": _non_iterative_summary(all_trims.non_iterative) if all_trims.non_iterative else None,
         "tares": None if all_trims.tares is None else _tares_summary(all_trims.tares, channels),
         "outliers": [vars(outlier) for outlier in all_trims.outliers],
@@ -159,6 +161,28 @@ def nonlinear_terms_summary(all_trims: AllTrimsCalibration, channel: int) -> dic
         name: {key: float(values[i]) for key, values in columns.items()}
         for i, name in enumerate(model.terms)
         if i >= len(model.components) and (np.isfinite(model.t[i, channel]) or columns["value"][i] != 0.0)
+    }
+
+
+def _random_terms_summary(model: CalibrationModel) -> dict[str, Any]:
+    """The model with random terms: coefficients with their standard deviations, and its errors, by channel."""
+    names, k = model.channel_names, len(model.components)
+    sigma = np.sqrt(np.diagonal(model.covariance, axis1=1, axis2=2)).T
+    terms = {
+        name: {
+            term: {"value": float(model.coefficients[i, c]), "sigma": float(sigma[i, c])}
+            for i, term in enumerate(model.terms)
+            if i >= k
+        }
+        for c, name in enumerate(names)
+    }
+    return {
+        "linear": {
+            name: dict(zip(model.components, model.coefficients[:, c], strict=False)) for c, name in enumerate(names)
+        },
+        "terms": terms,
+        "residual": dict(zip(names, np.sqrt(np.diag(model.residual_covariance)), strict=True)),
+        "cross_validation": dict(zip(names, model.cross_validation_rms, strict=True)),
     }
 
 

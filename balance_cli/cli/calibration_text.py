@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.campaign.rig.load_components import FullScale
 
+RANDOM_TERMS_TEXT = (
+    "loads by all |F|, F^2, F|F| and F G that the rows tell, each shrunk by the variance of its family: more likely "
+    "than the significant terms alone"
+)
+"""What computes the loads where the significant terms do not."""
+
 
 def calibration_text(calibration: Calibration) -> Iterator[str]:
     """Lines of text that summarize a calibration."""
@@ -43,7 +49,7 @@ def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
         yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
     yield from all_trims.screening_notes
     yield from _missing_terms(all_trims)
-    if not all_trims.model.contraction().proved:
+    if not all_trims.loads_model.contraction().proved:
         yield "the load iteration is not proved to converge over the calibrated range; reduce refuses this model"
 
 
@@ -103,7 +109,7 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
 
 def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iterator[str]:
     model = all_trims.model
-    proof = model.contraction()
+    proof = all_trims.loads_model.contraction()
     if all_trims.runs:
         yield f"All trims, {_rows_text(all_trims)} in {len(model.load_series)} load series, each with its own zero"
     for note in all_trims.series_notes or ():
@@ -111,7 +117,9 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
     for channel, name in enumerate(model.channel_names):
         terms = nonlinear_terms_summary(all_trims, channel)
         yield f"  {name:12s} {', '.join(_term_text(term, values['t']) for term, values in terms.items()) or 'linear'}"
-    if proof.proved and model.is_nonlinear:
+    if all_trims.random_terms is not None:
+        yield f"  {RANDOM_TERMS_TEXT}"
+    if proof.proved and all_trims.loads_model.is_nonlinear:
         yield f"  loads by iteration: every step reduces the error to {100.0 * proof.rho:.2g} % or less"
     if all_trims.non_iterative is not None:
         residuals = zip(model.components, all_trims.non_iterative.residual_percent_fs, strict=True)

@@ -134,7 +134,7 @@ def _non_iterative_variance(direct: NonIterativeModel, calibration: Calibration,
     average out.
     """
     assert calibration.all_trims is not None
-    model = calibration.all_trims.model
+    model = calibration.all_trims.loads_model
     row_noise = (1.0 - _misfit_share(calibration, model)) * model.residual_covariance
     return direct.load_variance(reading.change, reading.covariance, row_noise)
 
@@ -160,14 +160,14 @@ def _jacobian_condition(J: Array, covariance: Array) -> float:
 def _widened_covariance(calibration: Calibration, rows: Index, coefficients: Array) -> Array:
     """Covariance (c, c) of the misfit, and by what that of the coefficients is widened for the degrees of freedom."""
     assert calibration.all_trims is not None
-    widening = student_widening(float(calibration.all_trims.model.dof[rows].min()))
+    widening = student_widening(float(calibration.all_trims.loads_model.dof[rows].min()))
     return np.asarray(widening * _misfit_covariance(calibration, rows) + (widening - 1.0) * coefficients)
 
 
 def _misfit_covariance(calibration: Calibration, rows: Index) -> Array:
     """Covariance (c, c) of the misfit of the model beyond noise, which does not average out over a record."""
     assert calibration.all_trims is not None
-    model = calibration.all_trims.model
+    model = calibration.all_trims.loads_model
     share = _misfit_share(calibration, model)
     predicted_errors = 1.0 + share * (model.press_ratio[rows] - 1.0)
     return np.asarray(

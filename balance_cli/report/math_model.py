@@ -49,6 +49,12 @@ FIXED_TERMS_TEXT = {
     "searched for.",
 }
 
+RANDOM_TERMS_TEXT = (
+    "Loads are computed by a model with random terms: all |F|, F^2, F|F| and F G that the rows tell, each with a "
+    "coefficient that is shrunk by the variance of its family, because it is more likely than the significant terms "
+    "alone. Its terms are not tested one by one; the tables show the significant terms."
+)
+
 
 def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> Iterator[PageBlock]:
     """The part of the page on one calibration model; `suffix` makes the names of its pictures unique."""
@@ -60,7 +66,9 @@ def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> 
     has_rows = len(all_trims.loads) > 0
     with_search = source.artefact.provenance.options.get("terms") != "linear"
     yield Paragraph(_overview_text(all_trims, with_search) if has_rows else MATRIX_ONLY_TEXT)
-    proof = all_trims.model.contraction()
+    if all_trims.random_terms is not None:
+        yield Paragraph(RANDOM_TERMS_TEXT)
+    proof = all_trims.loads_model.contraction()
     yield from _math_model_warnings(all_trims, proof)
     if proof.proved:
         yield Paragraph(_iteration_text(all_trims, proof, component_units(source.content.geometry)))
@@ -117,7 +125,7 @@ def _selection_text(all_trims: AllTrimsCalibration) -> str:
 
 def _iteration_text(all_trims: AllTrimsCalibration, proof: Contraction, units: Mapping[str, str]) -> str:
     """The calibrated range, and the loads beyond which a result is refused."""
-    model = all_trims.model
+    model = all_trims.loads_model
     limits = zip(model.components, model.smallest_load, model.largest_load, strict=True)
     calibrated = ", ".join(
         f"{name} {format_significant(float(low))} to {format_significant(float(high))} {units[name]}"

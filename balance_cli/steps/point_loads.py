@@ -133,7 +133,7 @@ def _usable_model(readings: PointReadings, calibration: Calibration) -> _Model:
         model, level = model_of_trim(next(iter(calibration.trims.values()))), np.zeros(())
         noise = model.residual_covariance
     else:
-        model, level, noise = all_trims.model, all_trims.level_weight_loads, all_trims.noise.reading_covariance
+        model, level, noise = all_trims.loads_model, all_trims.level_weight_loads, all_trims.noise.reading_covariance
     rows = np.array([i for i, name in enumerate(model.channel_names) if name in readings.channel_names], np.intp)
     k = len(model.components)
     if not determines_loads(model.coefficients[:k, rows].T):
@@ -191,6 +191,8 @@ def _solve(usable: _Model, change: Array, non_iterative: bool) -> tuple[Array, N
     with np.errstate(all="ignore"):
         left = (change - model.readings(loads)[:, rows]) @ model.inverse(rows).T
     converged = np.asarray(np.all(np.abs(left) < CONVERGENCE_SHARE, axis=1))
+    if all_trims is not None and all_trims.random_terms is not None:
+        return loads, converged, "iterative, random terms"
     return loads, converged, "iterative" if model.is_nonlinear else "linear"
 
 

@@ -130,7 +130,7 @@ def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord 
 
     def solve(spectra: Harmonics, reference: ZeroRecord | None) -> MeanLoads:
         if all_trims is not None and all_trims.model.is_nonlinear:
-            return nonlinear_mean_loads(spectra, calibration, all_trims.model, health, reference)
+            return nonlinear_mean_loads(spectra, calibration, all_trims.loads_model, health, reference)
         return linear_mean_loads(spectra, calibration, health, reference)
 
     if calibration.temperature is None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.calibration.static_matrices import inverse_matrix, inverse_sigma, standard_errors
 from balance_cli.calibration.temperature import TemperatureRows, TemperatureTerms, estimate_temperature_terms
@@ -74,13 +75,21 @@ def _with_reference_errors(result: Calibration, terms: TemperatureTerms) -> Cali
     trims = {label: _trim_with_errors(trim, terms) for label, trim in result.trims.items()}
     if result.all_trims is None:
         return replace(result, trims=trims)
-    model = result.all_trims.model
+    model, random = result.all_trims.model, result.all_trims.random_terms
+    all_trims = replace(
+        result.all_trims,
+        model=_model_with_errors(model, terms),
+        random_terms=None if random is None else _model_with_errors(random, terms),
+    )
+    return replace(result, trims=trims, all_trims=all_trims)
+
+
+def _model_with_errors(model: CalibrationModel, terms: TemperatureTerms) -> CalibrationModel:
+    """The model whose linear coefficients have these errors."""
     k, added = len(model.components), _of_channels(terms, model.channel_names)
     covariance = model.covariance.copy()
     covariance[:, :k, :k] += added * model.calibrated_range[:, None] * model.calibrated_range
-    return replace(
-        result, trims=trims, all_trims=replace(result.all_trims, model=replace(model, covariance=covariance))
-    )
+    return replace(model, covariance=covariance)
 
 
 def _trim_with_errors(trim: TrimCalibration, terms: TemperatureTerms) -> TrimCalibration:
