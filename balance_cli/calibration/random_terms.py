@@ -66,8 +66,8 @@ class _Columns:
 def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> CalibrationModelFit | None:
     """Fit the loads, and the nonlinear terms that the rows tell with random coefficients, to the rows of a `fit`.
 
-    None where the terms of `fit`, which were selected, have decisively more evidence, where no coefficient but those of
-    the loads is told, or the rows are too few.
+    None where the terms of `fit`, which were selected, have decisively more evidence, or where none was selected and the
+    loads alone have more; where no coefficient but those of the loads is told, or the rows are too few.
     """
     points = replace(points, weight=np.where(np.isfinite(fit.residuals).all(axis=1), points.weight, 0.0))
     used = points.weight > 0
@@ -84,7 +84,8 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     candidates = 2 * k * (k + 1)  # nonlinear terms of the ten families
     if not components.size.any():
         return None
-    if evidence + DECISIVE_EVIDENCE <= _evidence_of_selected(fit, weight, used, rows_less_zeros, candidates):
+    required = DECISIVE_EVIDENCE if fit.model.is_nonlinear else 0.0
+    if evidence + required <= _evidence_of_selected(fit, weight, used, rows_less_zeros, candidates):
         return None
     return _fit_channels(points, columns, components)
 
