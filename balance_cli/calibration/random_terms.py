@@ -44,6 +44,8 @@ the error of the best least squares where the largest loads are left out, 0.94 w
 DECISIVE_EVIDENCE = 20.0
 """Log odds from which the selected terms compute the loads. Up to 40 both predicted series that were left out equally
 well in the median, and up to 20 either was at times twice as good; balances with few large terms have 2000 and more."""
+MAX_SLOPES = 300
+"""Columns of slopes of load series beyond which there are none: the time grows with their cube, to 2 s for so many."""
 FAMILY_COST = 1.0
 """Log likelihood that each variance has to gain (Akaike, IEEE Trans. Autom. Control 19, 1974, 716)."""
 
@@ -66,8 +68,8 @@ class _Columns:
 def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> CalibrationModelFit | None:
     """Fit the loads, and the nonlinear terms that the rows tell with random coefficients, to the rows of a `fit`.
 
-    None where the terms of `fit`, which were selected, have decisively more evidence, or where none was selected and the
-    loads alone have more; where no coefficient but those of the loads is told, or the rows are too few.
+    None where the terms of `fit`, which were selected, have decisively more evidence, or where none was selected and
+    the loads alone have more; where no coefficient but those of the loads is told, or the rows are too few.
     """
     points = replace(points, weight=np.where(np.isfinite(fit.residuals).all(axis=1), points.weight, 0.0))
     used = points.weight > 0
@@ -81,7 +83,7 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     scale = np.where(response > 0.0, response, 1.0)
     components = estimate_variance_components(A[:, :k], A[:, k:], columns.family, y, scale, rows_less_zeros)
     evidence = components.log_likelihood - FAMILY_COST * np.count_nonzero(components.size)
-    candidates = 2 * k * (k + 1)  # nonlinear terms of the ten families
+    candidates = k * (2 * k + 3)  # nonlinear terms of the ten families
     if not components.size.any():
         return None
     required = DECISIVE_EVIDENCE if fit.model.is_nonlinear else 0.0
@@ -116,9 +118,12 @@ def _told_columns(x: Array, block: Index) -> _Columns:
 
 def _series_slopes(x: Array, block: Index) -> Array:
     """The loads (m, q) of each load series, zero in the others; those that are constant in it are its zero."""
-    series = np.unique(block, return_inverse=True)[1]
-    each = (np.eye(int(series.max()) + 1)[series][:, :, None] * x[:, None, :]).reshape(len(x), -1)
-    return each[:, np.linalg.norm(subtract_block_means(each, block), axis=0) > 0.0]
+    names, series = np.unique(block, return_inverse=True)
+    if len(names) > MAX_SLOPES:
+        return np.zeros((len(x), 0))
+    each = (np.eye(len(names))[series][:, :, None] * x[:, None, :]).reshape(len(x), -1)
+    varied = np.linalg.norm(subtract_block_means(each, block), axis=0) > 0.0
+    return np.asarray(each[:, varied] if np.count_nonzero(varied) <= MAX_SLOPES else each[:, :0])
 
 
 def _evidence_of_selected(
