@@ -135,14 +135,11 @@ def calibrate_all_trims(
     """
     points = scheduled = _with_check_points(points, check_points)
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
-    fit, model = screened.fit, screened.fit.model
-    used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
-    random = fit_random_terms(total, fit) if choice.is_search else None
-    by = fit if random is None else random
-    noise = _estimate_noise(points, by, used, repeat_scatter)
+    fit, model, used = screened.fit, screened.fit.model, _fitted_rows(screened.fit)
+    by = _fit_for_loads(total, fit, choice)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
     untested = find_untested_products(by.model, total.loads[used], points.load_series[used])
-    models = CheckModels(by.model, noise, direct, untested)
+    models = CheckModels(by.model, _estimate_noise(points, by, used, repeat_scatter), direct, untested)
     held_out = _held_out_checks(models, checks, tares, check_gravity or {})
     return AllTrimsCalibration(
         model=model,
@@ -152,7 +149,7 @@ def calibrate_all_trims(
         residuals=fit.residuals,
         cross_validation_errors=fit.cross_validation_errors,
         drift=fit_drift(model.zeros, fit.zero_covariance),
-        noise=noise,
+        noise=models.noise,
         outliers=screened.outliers,
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
@@ -164,7 +161,7 @@ def calibrate_all_trims(
         load_series=points.load_series,
         series_notes=scheduled.series_reading.notes or None,
         term_choice=choice,
-        random_terms=None if random is None else random.model,
+        random_terms=None if by is fit else by.model,
     )
 
 
@@ -174,6 +171,15 @@ def _with_check_points(points: CalibrationPoints, is_check: NDArray[np.bool_] | 
     if is_check is not None and tare is not None:
         tare = tare | (is_check & ~np.any(points.loads, axis=1))
     return replace(points, check_points=is_check, tare_points=tare)
+
+
+def _fitted_rows(fit: CalibrationModelFit) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(fit.residuals).all(axis=1))
+
+
+def _fit_for_loads(points: CalibrationPoints, fit: CalibrationModelFit, choice: TermChoice) -> CalibrationModelFit:
+    """The fit that computes loads: that with random terms, where terms were searched for and it has more evidence."""
+    return (fit_random_terms(points, fit) if choice.is_search else None) or fit
 
 
 def _held_out_checks(
@@ -208,7 +214,7 @@ def _with_final_range(
     points: CalibrationPoints, total: CalibrationPoints, screened: ScreenedFit, tares: Tares | None
 ) -> tuple[CalibrationPoints, CalibrationPoints, ScreenedFit, Tares | None]:
     """Refer everything to the range of the rows that were fitted, with a note where excluded rows made it smaller."""
-    used = np.asarray(np.isfinite(screened.fit.residuals).all(axis=1))
+    used = _fitted_rows(screened.fit)
     final = np.max(np.abs(points.loads[used]), axis=0)
     if np.array_equal(final, points.calibrated_range):
         return points, total, screened, tares

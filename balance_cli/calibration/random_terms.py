@@ -69,12 +69,12 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     """Fit the loads, and the nonlinear terms that the rows tell with random coefficients, to the rows of a `fit`.
 
     None where the terms of `fit`, which were selected, have decisively more evidence, or where none was selected and
-    the loads alone have more; where no coefficient but those of the loads is told, or the rows are too few.
+    the loads alone have more; where no coefficient but those of the loads is determined, or the rows are too few.
     """
     points = replace(points, weight=np.where(np.isfinite(fit.residuals).all(axis=1), points.weight, 0.0))
     used = points.weight > 0
     block, weight = points.load_series[used], points.weight[used]
-    columns = _told_columns(points.x[used], block)
+    columns = _determined_columns(points.x[used], block)
     k, rows_less_zeros = columns.loads, len(block) - len(np.unique(block))
     if not len(columns.family) or rows_less_zeros - k < MIN_DOF:
         return None
@@ -92,7 +92,7 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     return _fit_channels(points, columns, components)
 
 
-def _told_columns(x: Array, block: Index) -> _Columns:
+def _determined_columns(x: Array, block: Index) -> _Columns:
     """The columns that zeros and loads do not explain.
 
     Terms that equal each other in this schedule all remain: they share what is found.
@@ -106,13 +106,13 @@ def _told_columns(x: Array, block: Index) -> _Columns:
     centered = subtract_block_means(values, block)
     basis = np.linalg.qr(centered[:, :k])[0]
     left = centered[:, k:] - basis @ (basis.T @ centered[:, k:])
-    told = np.linalg.norm(left, axis=0) > MIN_INDEPENDENT_SHARE * np.linalg.norm(values[:, k:], axis=0)
-    names = np.unique(family[told])
+    determined = np.linalg.norm(left, axis=0) > MIN_INDEPENDENT_SHARE * np.linalg.norm(values[:, k:], axis=0)
+    names = np.unique(family[determined])
     return _Columns(
-        values=np.hstack([values[:, :k], values[:, k:][:, told]]),
-        terms=(*linear_terms(k), *(term for term, is_told in zip(terms, told, strict=False) if is_told)),
-        family=np.searchsorted(names, family[told]),
-        slopes=int(np.count_nonzero(told[len(terms) :])),
+        values=np.hstack([values[:, :k], values[:, k:][:, determined]]),
+        terms=(*linear_terms(k), *(term for term, is_kept in zip(terms, determined, strict=False) if is_kept)),
+        family=np.searchsorted(names, family[determined]),
+        slopes=int(np.count_nonzero(determined[len(terms) :])),
     )
 
 
