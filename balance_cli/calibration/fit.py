@@ -122,9 +122,8 @@ def fit_calibration_model(
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
-    used = points.weight > 0
+    k, used = len(points.components), points.weight > 0
     x, load_series = points.x[used], points.load_series[used]
-    k = len(points.components)
     terms, unsupported = linear_terms(k), {}
     if not choice.is_linear:
         applied = points.x if schedule is None else schedule
