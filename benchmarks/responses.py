@@ -4,6 +4,16 @@ pyFRF gives H1 of all channels over one load, without covariance, from segments 
 whole periods without a window, of a random one segments of 2 s with Hann's window, half of which overlap. `sweep-tf`
 gives responses of the same channels with the covariance of their noise; of a random record by local rational models,
 which have no leakage. It also tests the channels and finds the end of the start transient.
+
+What is beyond pyFRF costs most. Of 42 ms for 22400 samples of 15 channels in seven periods the FFTs of the periods
+take 1 ms and their reading 3. The noise covariance of 16 signals at 634 lines, robust against outliers, takes 12; that
+of the last periods, against which the start transient is tested, 8; the tests of the channels 5; response, coherence and
+their covariance 6. pyFRF takes 6 in all. What the noise costs goes with the lines of a period, not with the periods.
+
+A single FFT of a random record takes 1.5 ms, where three times the speed of pyFRF is 2.1 ms: nothing would be left for
+any local model. Here 162 windows of 85 lines are fitted with eight sets of orders, up to three poles in up to ten
+Gauss-Newton steps: 126 QR factorizations of all windows in 0.23 s, and twice that for each of the products with the
+outputs, the Gauss-Newton equations and the noise of channels and loads.
 """
 
 from __future__ import annotations
@@ -17,6 +27,7 @@ from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.cli.batch.executors import keep_freed_memory
 from balance_cli.signals.response.choices import AUTO, LOCAL_RATIONAL
 from balance_cli.simulation import simulate_run
 from balance_cli.simulation.plans import SweepPlan
@@ -34,6 +45,7 @@ SEGMENT = 2.0
 
 def compare() -> list[Comparison]:
     """Time a periodic record of the sample campaign and a simulated random one."""
+    keep_freed_memory()  # as every command does
     geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
     periodic = hold_samples(open_run(ROOT / "sample_data" / "sweep-Fz-low.h5"))
     plan = SweepPlan(run="random", kind="sweep", excited=("Fz",), excitation="random", level=(LEVEL,))

@@ -74,11 +74,12 @@ def variance_floor(spectra: ComplexArray) -> Array:
 class PooledCovariance:
     """Noise covariance of one degree of freedom at neighboring lines, piecewise constant.
 
-    Each of `lines` has the covariance of the nearest of `knots` (B, n, n), which lie at every `step`-th line. `dof` are
-    its complex degrees of freedom.
+    Each of `lines` has the covariance of the nearest of `knots` (B, n, n), which lie at every `step`-th line and have
+    these `inverses`. `dof` are its complex degrees of freedom.
     """
 
     knots: ComplexArray
+    inverses: ComplexArray
     step: int
     lines: int
     dof: float
@@ -92,11 +93,6 @@ class PooledCovariance:
     def at_lines(self) -> ComplexArray:
         """The covariance (lines, n, n) at every line."""
         return self.knots[self.nearest]
-
-    @functools.cached_property
-    def inverses(self) -> ComplexArray:
-        """The inverse of each knot."""
-        return np.asarray(np.linalg.inv(self.knots), complex)
 
     def solve(self, vectors: ComplexArray) -> ComplexArray:
         """Return the inverse covariance times vectors (lines, v, n), with one product for each knot."""
@@ -137,31 +133,49 @@ def pooled_covariance(
     dof = float(np.median(window_sums(counts, width)))
     bound = outlier_bound(counts, n)
     weights = _initial_weights(deviations, counts, floor)
+    products = _WindowProducts(deviations, starts, min(width, K))
+    knots, inverses = (np.empty((len(starts), n, n), complex) for _ in range(2))
     for _ in range(ROBUST_ITERATIONS):
         total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
-        sums = _window_products(weights, deviations, starts, min(width, K))
-        pooled = PooledCovariance(sums / total[:, None, None] + np.diag(floor), step, K, dof)
+        changed = products.weigh(weights)
+        knots[changed] = products.sums[changed] / total[changed, None, None] + np.diag(floor)
+        inverses[changed] = np.linalg.inv(knots[changed])
+        pooled = PooledCovariance(knots, inverses, step, K, dof)
         weights = np.minimum(1.0, bound / mean_distances(pooled, deviations, counts, floor))
     return pooled
 
 
-def _window_products(weights: Array, deviations: ComplexArray, starts: NDArray[np.int64], width: int) -> ComplexArray:
-    """Return the weighted sums (B, n, n) of outer products of deviations (K, v, n) over windows of `width` lines.
+class _WindowProducts:
+    """Weighted `sums` (B, n, n) of outer products of deviations (K, v, n) over windows of `width` lines.
 
-    Windows overlap: each product of lines between two successive edges of windows is computed once.
+    Windows overlap: the products of the lines between two successive edges of windows are computed once, and again only
+    where weights have changed, which are those of a few lines.
     """
-    _, v, n = deviations.shape
-    cuts = np.unique(np.concatenate([starts, starts + width]))
-    rows = deviations.reshape(-1, n)
-    conjugate = (deviations.conj() * weights[:, None, None]).reshape(-1, n)
-    parts = np.empty((len(cuts) - 1, n, n), complex)
-    for part, low, high in zip(parts, (v * cuts[:-1]).tolist(), (v * cuts[1:]).tolist(), strict=True):
-        np.dot(rows[low:high].T, conjugate[low:high], out=part)
-    sums = np.empty((len(starts), n, n), complex)
-    ends = np.searchsorted(cuts, np.stack([starts, starts + width], axis=1))
-    for total, (low, high) in zip(sums, ends.tolist(), strict=True):
-        np.sum(parts[low:high], axis=0, out=total)
-    return sums
+
+    def __init__(self, deviations: ComplexArray, starts: NDArray[np.int64], width: int) -> None:
+        n = deviations.shape[2]
+        self._deviations, self._cuts = deviations, np.unique(np.concatenate([starts, starts + width]))
+        self._ends = np.searchsorted(self._cuts, np.stack([starts, starts + width], axis=1))
+        self._weights = np.full(len(deviations), np.nan)
+        self._parts = np.empty((len(self._cuts) - 1, n, n), complex)
+        self.sums = np.empty((len(starts), n, n), complex)
+
+    def weigh(self, weights: Array) -> NDArray[np.int64]:
+        """Take weights (K,), and return the windows whose sums have changed."""
+        lines = np.concatenate([[0], np.cumsum(weights != self._weights)])
+        self._weights = weights
+        parts = np.flatnonzero(lines[self._cuts[1:]] > lines[self._cuts[:-1]])
+        n = self._deviations.shape[2]
+        for part in parts.tolist():
+            own = slice(self._cuts[part], self._cuts[part + 1])
+            rows = self._deviations[own]
+            weighted = rows.conj() * weights[own, None, None]
+            np.dot(rows.reshape(-1, n).T, weighted.reshape(-1, n), out=self._parts[part])
+        first, last = self._ends.T
+        windows = np.flatnonzero(lines[self._cuts[last]] > lines[self._cuts[first]])
+        for window in windows.tolist():
+            np.sum(self._parts[first[window] : last[window]], axis=0, out=self.sums[window])
+        return windows
 
 
 def mean_distances(
