@@ -7,8 +7,8 @@ which have no leakage. It also tests the channels and finds the end of the start
 
 What is beyond pyFRF costs most. Of 42 ms for 22400 samples of 15 channels in seven periods the FFTs of the periods
 take 1 ms and their reading 3. The noise covariance of 16 signals at 634 lines, robust against outliers, takes 12; that
-of the last periods, against which the start transient is tested, 8; the tests of the channels 5; response, coherence and
-their covariance 6. pyFRF takes 6 in all. What the noise costs goes with the lines of a period, not with the periods.
+of the last periods, against which the start transient is tested, 8; the tests of the channels 5; response, coherence
+and their covariance 6. pyFRF takes 6 in all. The cost of noise goes with the lines of a period, not with the periods.
 
 A single FFT of a random record takes 1.5 ms, where three times the speed of pyFRF is 2.1 ms: nothing would be left for
 any local model. Here 162 windows of 85 lines are fitted with eight sets of orders, up to three poles in up to ten
