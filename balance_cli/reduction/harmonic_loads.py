@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.channel_health import ChannelHealth, live_channels
+from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -22,6 +22,7 @@ from balance_cli.reduction.response_sources import (
     load_scale,
     lowest_frequency,
     stacked_real,
+    usable_channels,
 )
 from balance_cli.reduction.speed_modulation import ChannelResponse, without_speed_modulation
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
@@ -98,9 +99,7 @@ def rotor_record(
     The harmonics are those of `rotor`; the lines of further rotors are taken out first (unless they are to be found as
     lines that no harmonic describes). Raises UserError where no channel is usable or the 1/rev pulses are not.
     """
-    health = live_channels(run, geometry).without(source.untrusted_channels)
-    if not health.live:
-        raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
+    health = usable_channels(run, geometry, source)
     for contradiction in pulse_faults(run):
         raise contradiction
     azimuth = rotor_azimuth(run, rotor)
@@ -175,9 +174,7 @@ def tone_record(
     The phase counts from the first sample. Raises UserError where the record holds too few cycles or no channel.
     """
     assert run.sample_rate is not None
-    health = live_channels(run, geometry).without(source.untrusted_channels)
-    if not health.live:
-        raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
+    health = usable_channels(run, geometry, source)
     duration = (run.samples - 1) / run.sample_rate
     cycles = int(duration * frequency)
     if cycles < FEWEST_REVOLUTIONS:

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from balance_cli.campaign.recording.channel_health import ChannelHealth, live_channels
+from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
-from balance_cli.reduction.response_sources import ResponseSource, highest_frequency
+from balance_cli.reduction.response_sources import ResponseSource, highest_frequency, usable_channels
 from balance_cli.reduction.spectra_result import RunSpectra
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
@@ -63,9 +63,7 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     Raises UserError where the band holds no frequency of the record or leaves the measured response, no channel is
     usable, or the usable channels do not determine the loads.
     """
-    health = live_channels(run, geometry).without(source.untrusted_channels)
-    if not health.live:
-        raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
+    health = usable_channels(run, geometry, source)
     run = source.remove_nonlinear_contribution(run, health.live)
     first = _first_sample(run, source)
     spectra, has_loads = _measured_spectra(run, health, first), run.has_loads and run.kind == "check"

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.channel_health import ChannelHealth, live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import moment_reference_length
@@ -119,6 +121,16 @@ def stacked_real(matrix: ComplexArray) -> Array:
 def circular_real(covariance: ComplexArray) -> Array:
     """Return the covariance of [Re, Im] of circular noise x with E[x x*] = `covariance` (..., c, c)."""
     return np.asarray(0.5 * stacked_real(covariance))
+
+
+def usable_channels(run: Run, geometry: Geometry, source: ResponseSource) -> ChannelHealth:
+    """Return the channels of a run that can be used with a response; raises UserError where there is none."""
+    health = live_channels(run, geometry).without(source.untrusted_channels)
+    if not health.live:
+        name, reason = next(iter(health.left_out.items()), ("", "the geometry declares none"))
+        fault = f"no channel is usable ({f'{name}: ' if name else ''}{reason})"
+        raise UserError(fault, str(run.path or run.name), "channels", "Repair the channels, or leave the run out")
+    return health
 
 
 def no_state_space_error(method: str, path: str = "") -> UserError:

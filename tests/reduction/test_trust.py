@@ -7,6 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import FLAGS, join_flags
 from balance_cli.reduction.harmonic_loads import harmonic_loads, rotor_record
 from balance_cli.reduction.kalman.innovations import InnovationTests
@@ -178,6 +179,12 @@ def test_innovations_contradict_a_filter(
     words = reduced_words(flag_filter(loads, tests))
     assert ("filter contradicted" in words) == contradicted
     assert not filter_is_contradicted(None)
+
+
+def test_without_any_usable_channel_the_reason_is_named(campaign, calibration, identified, check):
+    run = replace(check, source=MemorySource(np.zeros_like(check.read().channels), check.read().loads))
+    with pytest.raises(UserError, match=r"no channel is usable \(x\.strain: dead: constant at 0 V\)"):
+        reduce_run(run, campaign.geometry, calibration, model_source(identified))
 
 
 @pytest.mark.parametrize(("factor", "text"), [(1e-3, " 1000"), (-1.0, " -1"), (1.0, "")])
