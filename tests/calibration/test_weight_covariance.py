@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.math_model import weighted_inverse
-from balance_cli.calibration.weight_covariance import correlation_shrinkage, weight_covariance, weight_widening
+from balance_cli.calibration.weight_covariance import (
+    correlation_shrinkage,
+    moderated_variances,
+    weight_covariance,
+    weight_widening,
+)
 from balance_cli.signals import distributions as stats
 
 LOADS, CHANNELS, DRAWS = 2, 6, 300
@@ -39,3 +44,27 @@ def test_correlations_that_chance_does_not_explain_are_kept():
     assert correlation_shrinkage(INDEPENDENT, 1e300) == 1.0
     assert correlation_shrinkage(COMMON @ COMMON.T, 1.0) == 1.0
     assert weight_covariance(CORRELATED, float("nan")) == pytest.approx(CORRELATED)
+
+
+@pytest.mark.parametrize(("dof", "most"), [(2, 1.25), (4, 1.12), (9, 1.06)])
+def test_loads_by_channels_of_like_noise_and_few_rows_are_as_good_as_by_equal_weights(dof, most):
+    rng = np.random.default_rng(11)
+    ratios = []
+    for _ in range(150):
+        C, noise = rng.standard_normal((8, 3)), rng.standard_normal((8, dof))
+        weighted = np.linalg.solve(weight_covariance(noise @ noise.T / dof, dof), C)
+        W = np.linalg.solve(C.T @ weighted, weighted.T)
+        ratios.append(np.sum(W**2) / np.trace(np.linalg.inv(C.T @ C)))
+    assert np.sqrt(np.mean(ratios)) < most
+
+
+def test_variances_of_unlike_channels_or_many_rows_remain():
+    unlike = np.array([1e-12, 1e-6, 1.0, 1e6, 1e12])
+    assert moderated_variances(unlike, 4.0) is unlike
+    like = np.array([1.0, 1.1, 0.9, 1.05])
+    assert moderated_variances(like, 200.0) is like
+    # An inverse gamma prior: the posterior mean of the precision is that of d + n degrees of freedom.
+    rng = np.random.default_rng(12)
+    true = 8.0 * 2.5 / rng.chisquare(8.0, 20000)
+    estimates = true * rng.chisquare(3.0, 20000) / 3.0
+    assert moderated_variances(estimates, 3.0) == pytest.approx((8.0 * 2.5 + 3.0 * estimates) / 11.0, rel=0.06)
