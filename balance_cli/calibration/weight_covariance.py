@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 MAX_MODERATED_DOF = 30.0
 """Degrees of freedom beyond which variances are taken as they are: weights then lose 2 % by their errors at most."""
 PRIOR_DOF = np.geomspace(1.0, 1e4, 500)
-"""Degrees of freedom that a common variance may be worth, in steps of 2 %: that of unlike units is worth less than one."""
+"""Degrees of freedom that a common variance may be worth, in steps of 2 %; for unlike units it is less than one."""
 
 
 def correlation_shrinkage(covariance: Array, dof: float) -> float:
