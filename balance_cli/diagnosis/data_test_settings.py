@@ -49,6 +49,8 @@ class RunPairSettings:
     """Share of the larger of the two below which the other one is taken for an error of the derivative."""
     transient_factor: float = 3.0
     """Initial value of a high-pass transient, over the rms of the channel: three sigma."""
+    gain_share: float = 0.9
+    """Share of chi-square that factors of the channels must describe: modes that move leave most of theirs."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,10 @@ class RecordChangeSettings:
 
     min_half_periods: int = 2
     """Periods in each half: with one each, a single disturbance would be a drift."""
+    min_channels: int = 3
+    """Channels that are compared with each other: of two that differ neither is the one that drifts."""
+    clear_sigma: float = 3.0
+    """Distance from the other group at which a channel is named: one that was hardly loaded could belong to either."""
 
 
 @dataclass(frozen=True)

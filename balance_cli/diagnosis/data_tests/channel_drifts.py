@@ -35,10 +35,6 @@ ComplexArray = NDArray[np.complex128]
 GAIN, DELAY = 0, 1
 EVERY_CHANNEL = "channels of cells with one channel"
 """Place of a test that finds nothing."""
-CLEAR_SIGMAS = 3.0
-"""Distance from the other group at which a channel is named: one that was hardly loaded could belong to either."""
-FEWEST_CHANNELS = 3
-"""Of two channels that differ neither is the one that drifts."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ def channel_drift_tests(
     """One row where periodic records have channels of cells with one channel; else none."""
     cells = Counter(channel.cell for channel in geometry.channels)
     names = tuple(item.name for item in geometry.channels if item.cell is not None and cells[item.cell] == 1)
-    if len(names) < FEWEST_CHANNELS:
+    if len(names) < settings.record_changes.min_channels:
         return []
     changes = [_changes_of_run(run, names, settings) for run in runs]
     found = [change for change in changes if change is not None]
@@ -126,7 +122,7 @@ def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTes
     """Whether the changes of the channels over all records differ, in gain or in delay."""
     weight = np.array([change.sigma**-2.0 for change in changes])
     loaded = np.flatnonzero(weight.sum(axis=0).min(axis=0) > 0)
-    if len(loaded) < FEWEST_CHANNELS:
+    if len(loaded) < settings.record_changes.min_channels:
         return None
     value = np.array([change.value for change in changes])
     fits = [ChannelFit.of(value[:, kind, loaded], weight[:, kind, loaded]) for kind in (GAIN, DELAY)]
@@ -135,7 +131,7 @@ def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTes
     kind, p_value = int(np.argmin(p_values)), bonferroni_min_p_value(p_values)
     place, finding = EVERY_CHANNEL, "equal"
     if p_value <= settings.significance_level:
-        group = fits[kind].group_apart()
+        group = fits[kind].group_apart(settings.record_changes.clear_sigma)
         place = ", ".join(names[loaded[i]] for i in group)
         finding = _describe(kind, *fits[kind].change_of(group), len(group))
     return ModelFreeTest(RECORD_CHANGE_TEST, place, fits[kind].chi2, dof, p_value, finding)
@@ -173,14 +169,14 @@ class ChannelFit:
         information = float(members @ self.matrix @ members)
         return float(members @ self.right) / information, information**-0.5
 
-    def group_apart(self) -> list[int]:
+    def group_apart(self, clear_sigma: float) -> list[int]:
         """The smaller of the two groups that explain most of chi-square; of equal ones that which has changed more."""
         order = np.argsort(self.change)
         groups = [(order[:i], order[i:]) for i in range(1, len(order))]
         parts = max(groups, key=lambda each: abs(self.change_of(each[0])[0] / self.change_of(each[0])[1]))
         small, large = sorted(parts, key=lambda part: (len(part), -abs(float(np.mean(self.mean[part])))))
         apart = np.abs(self.change - np.mean(self.change[large])) * np.sqrt(np.diag(self.matrix))
-        return sorted(int(i) for i in small if apart[i] > CLEAR_SIGMAS) or sorted(map(int, small))
+        return sorted(int(i) for i in small if apart[i] > clear_sigma) or sorted(map(int, small))
 
 
 def _describe(kind: int, change: float, sigma: float, count: int) -> str:

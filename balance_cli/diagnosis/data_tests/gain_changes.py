@@ -12,36 +12,38 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.data_tests.channel_drifts import FEWEST_CHANNELS, ChannelFit
+from balance_cli.diagnosis.data_test_settings import DataTestSettings
+from balance_cli.diagnosis.data_tests.channel_drifts import ChannelFit
 from balance_cli.diagnosis.significance import chi2_p_value, format_with_sigma
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-GAIN_SHARE = 0.9
-"""Share of chi-square that factors of the channels must describe: modes that move leave most of theirs."""
-
 
 def describe_gain_change(
-    channels: Sequence[str], change: ComplexArray, response: ComplexArray, variance: Array, level: float
+    channels: Sequence[str],
+    change: ComplexArray,
+    response: ComplexArray,
+    variance: Array,
+    settings: DataTestSettings,
 ) -> str:
     """Return which channels read by which factor more in the second run; empty where factors do not describe it.
 
-    `change` and `response`, the mean of both runs, (k, c), and `variance` (k, c) of the change; `level`: p-value below
-    which channels differ.
+    `change` and `response`, the mean of both runs, (k, c), and `variance` (k, c) of the change.
     """
     weight = np.abs(response) ** 2 / variance
     size = np.maximum(weight.sum(axis=0), np.finfo(float).tiny)
     gain = np.sum((response.conj() * change).real / variance, axis=0) / size
     left = np.sum(np.abs(change - gain * response) ** 2 / variance)
-    if len(channels) < FEWEST_CHANNELS or left > (1.0 - GAIN_SHARE) * np.sum(np.abs(change) ** 2 / variance):
+    groups, share = settings.record_changes, 1.0 - settings.run_pairs.gain_share
+    if len(channels) < groups.min_channels or left > share * np.sum(np.abs(change) ** 2 / variance):
         return ""
     birge = max(2.0 * float(left) / (2 * change.size - len(channels)), 1.0)
     fit = ChannelFit.of(gain[None], 2.0 * size[None] / birge)
-    if chi2_p_value(fit.chi2, (len(channels) - 1.0,), (np.inf,)) > level:
+    if chi2_p_value(fit.chi2, (len(channels) - 1.0,), (np.inf,)) > settings.significance_level:
         mean, sigma = float(np.average(gain, weights=size)), float(np.sqrt(0.5 * birge / size.sum()))
         return f"all channels read {format_with_sigma(_factor(mean), sigma)} times as much, as if the force cell did"
-    group = fit.group_apart()
+    group = fit.group_apart(groups.clear_sigma)
     value, sigma = fit.change_of(group)
     named = ", ".join(channels[i] for i in group)
     return f"{named} read {format_with_sigma(_factor(value), sigma)} times as much against the other channels"

@@ -220,9 +220,7 @@ def _test(name: str, place: str, change: _Change, finding_suffix: str, settings:
     gains = 2.0 * np.abs(modal) ** 2 / np.where(sigma > 0, sigma, np.inf) ** 2
     finding = _describe_location(change, bands[int(np.argmax(excess))])
     variance = 1.0 / np.diagonal(change.precision, axis1=1, axis2=2).real
-    of_gains = describe_gain_change(
-        change.channels, change.change, change.response, variance, settings.significance_level
-    )
+    of_gains = describe_gain_change(change.channels, change.change, change.response, variance, settings)
     if of_gains:
         finding = f"{finding}; {of_gains} {finding_suffix}"
         return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, finding)
