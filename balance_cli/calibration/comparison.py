@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,16 @@ SIGNIFICANCE_LEVEL = 0.01
 """Probability that any coefficient of an unchanged balance is called changed (Bonferroni over all of them)."""
 
 
+SHARES_OF_RANGE = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Steps of a load series, in units of the calibrated range, at which responses by different terms are compared."""
+
+
 @dataclass(frozen=True)
 class TermChange:
     """One coefficient of a channel in two calibrations, both as reading [`unit`] at the newer calibrated range.
 
-    `sigma` of the difference; `t` and `p_value` are NaN where neither calibration states its errors.
+    `sigma` of the difference; `t` and `p_value` are NaN where neither calibration states its errors. Where one of them
+    has the term and the other has not, `t` is that of the response by all terms of the same loads.
     """
 
     channel: str
@@ -71,7 +77,7 @@ def compare_calibrations(new: Calibration, old: Calibration) -> CalibrationCompa
     units = {channel.name: channel.reading_unit for channel in new.geometry.channels}
     changes = tuple(
         replace(change, unit=units[change.channel])
-        for change in _term_changes(names, terms, (old_value, new_value, sigma), dof)
+        for change in _term_changes(names, terms, (old_value, new_value, sigma), dof, _selection_t(a, b, names, terms))
     )
     difference = (new_value - old_value)[: len(a.components)].T
     at = [b.channel_names.index(name) for name in names]
@@ -139,7 +145,11 @@ def coefficients_at_range(
 
 
 def _term_changes(
-    names: tuple[str, ...], terms: tuple[str, ...], tables: tuple[Array, Array, Array], dof: float
+    names: tuple[str, ...],
+    terms: tuple[str, ...],
+    tables: tuple[Array, Array, Array],
+    dof: float,
+    selection_t: dict[tuple[str, str], float],
 ) -> tuple[TermChange, ...]:
     from scipy import stats
 
@@ -147,6 +157,8 @@ def _term_changes(
     present = (old != 0.0) | (new != 0.0)
     known = sigma > 0
     t = np.where(known, (new - old) / np.where(known, sigma, 1.0), np.nan)
+    for (channel, term), response_t in selection_t.items():
+        t[terms.index(term), names.index(channel)] = response_t
     p_value = np.where(known, 2.0 * stats.t.sf(np.abs(np.nan_to_num(t)), dof), np.nan)
     limit = SIGNIFICANCE_LEVEL / max(int(np.count_nonzero(present)), 1)
     changes = [
@@ -163,6 +175,59 @@ def _term_changes(
         for i, c in zip(*np.nonzero(present), strict=True)
     ]
     return tuple(sorted(changes, key=lambda change: -abs(np.nan_to_num(change.t))))
+
+
+def _selection_t(
+    new: CalibrationModel, old: CalibrationModel, names: tuple[str, ...], terms: tuple[str, ...]
+) -> dict[tuple[str, str], float]:
+    """T of the coefficients {(channel, term)} that only one of two models has: of the response by terms of its loads.
+
+    Which of several similar terms (`Fx^2`, `|Fx|`) a search selects, and whether it selects a weak one, is certain only
+    as far as their responses differ by more than the noise of a reading, which the standard deviation contains.
+    """
+    found = {}
+    for channel in names:
+        for name in terms:
+            selected = [name in model.channel_coefficients(channel) for model in (new, old)]
+            if selected[0] == selected[1]:
+                continue
+            series = _series_of_term(new, name)
+            values, variances = zip(*(_response(model, channel, name, series) for model in (new, old)), strict=True)
+            noise = [
+                model.residual_covariance[c, c] for model in (new, old) for c in [model.channel_names.index(channel)]
+            ]
+            variance = np.sum(variances, axis=0) + np.sum(noise)
+            ratio = (values[0] - values[1]) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+            found[channel, name] = float(ratio[np.argmax(np.abs(ratio))]) if np.any(variances) else float("nan")
+    return found
+
+
+def _series_of_term(model: CalibrationModel, name: str) -> Array:
+    """Load series (s, q, k) that show a term: its first load in steps in either direction, the second one beside it."""
+    term, unit = term_from_name(name, model.components), np.eye(len(model.components)) * model.calibrated_range
+    return np.array(
+        [
+            [sum(sign * (share if i == term.i else 1.0) * unit[i] for sign, i in signed) for share in SHARES_OF_RANGE]
+            for signs in product((1.0, -1.0), repeat=len(term.loads))
+            for signed in [tuple(zip(signs, term.loads, strict=True))]
+        ]
+    )
+
+
+def _response(model: CalibrationModel, channel: str, name: str, series: Array) -> tuple[Array, Array]:
+    """Response (n,) of a channel to load series (s, q, k) by its nonlinear terms of the loads of a term; its variance.
+
+    The mean of each series, which its zero contains, is subtracted.
+    """
+    term, c = term_from_name(name, model.components), model.channel_names.index(channel)
+    rows = [
+        row for row, each in enumerate(model.parsed_terms) if not each.linear and set(each.loads) == set(term.loads)
+    ]
+    loads = series.reshape(-1, series.shape[-1]) / model.calibrated_range
+    values = term_values(model.parsed_terms, loads)[:, rows].reshape(*series.shape[:2], len(rows))
+    values = (values - values.mean(axis=1, keepdims=True)).reshape(-1, len(rows))
+    covariance = model.covariance[c][np.ix_(rows, rows)]
+    return values @ model.coefficients[rows, c], np.einsum("qp,pr,qr->q", values, covariance, values)
 
 
 def _load_change(

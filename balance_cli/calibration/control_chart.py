@@ -69,7 +69,7 @@ class CoefficientHistory:
 
 @dataclass(frozen=True)
 class ControlChart:
-    """All coefficients over the calibrations `names`, the oldest first, by rising p-value of their drift."""
+    """The coefficients that all calibrations have, `names`, the oldest first, by rising p-value of their drift."""
 
     names: tuple[str, ...]
     coefficients: tuple[CoefficientHistory, ...]
@@ -166,20 +166,16 @@ def _chart_of_first(table: _CoefficientTable, n: int) -> ControlChart:
         _history((channel, term, table.units[c]), values[:, i, c], variances[:, i, c], dof)
         for c, channel in enumerate(table.channels)
         for i, term in enumerate(table.terms)
-        if np.any(values[:, i, c] != 0.0)
+        # Which of several similar terms a search selects, and whether a weak one, is no change of the balance.
+        if np.all(values[:, i, c] != 0.0)
     ]
     ranked = sorted(histories, key=lambda each: np.nan_to_num(each.drift_p, nan=2.0))
     return ControlChart(table.names[:n], tuple(ranked))
 
 
 def _history(key: tuple[str, str, str], values: Array, variance: Array, dof: Array) -> CoefficientHistory:
-    """Statistics of one coefficient (n,) with degrees of freedom (n,) of its variances.
-
-    A calibration without a term has the value 0 and the errors of the others.
-    """
-    absent, known = values == 0.0, variance > 0
-    typical = float(np.mean(variance[known])) if known.any() else float("nan")
-    variance = np.where(known, variance, np.where(absent, typical, np.nan))
+    """Statistics of one coefficient (n,) with degrees of freedom (n,) of its variances."""
+    variance = np.where(variance > 0, variance, np.nan)
     if np.isfinite(variance).all() and len(values) >= MIN_CALIBRATIONS:
         mean, scatter_p = _scatter(values, variance, dof)
         drift = _drift(values, variance, float(np.min(dof)))

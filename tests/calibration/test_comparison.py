@@ -47,6 +47,30 @@ def test_a_changed_gain_is_found_with_its_worth_in_loads() -> None:
     assert "coefficients changed significantly" in text
 
 
+@pytest.mark.parametrize(
+    ("terms", "factor", "is_changed"), [(("N1^2", "|N1^3|"), 1.0, False), (("N1^2", "N1^2"), 0.0, True)]
+)
+def test_the_choice_between_similar_terms_is_no_change(terms, factor, is_changed) -> None:
+    """A coefficient of three times the noise, of another even term or gone; gone at forty times the noise it is one."""
+    made = calibrated(1)
+    model = made.all_trims.model
+    size = np.sqrt(model.residual_covariance[0, 0]) * (40.0 if is_changed else 3.0)
+    pair = [with_term(made, term, size * value) for term, value in zip(terms, (1.0, factor), strict=True)]
+    changes = {(change.channel, change.term): change.is_significant for change in compare_calibrations(*pair).changes}
+    assert changes["B0", terms[0]] == is_changed
+    assert sum(changes.values()) == is_changed
+
+
+def with_term(made, term, coefficient):
+    """A calibration whose first channel has one more term, with the variance of its first coefficient."""
+    model = made.all_trims.model
+    b = np.vstack([model.coefficients, np.r_[coefficient, 0.0, 0.0]])
+    covariance = np.pad(model.covariance, ((0, 0), (0, 1), (0, 1)))
+    covariance[0, -1, -1] = covariance[0, 0, 0] if coefficient else 0.0
+    more = replace(model, terms=(*model.terms, term), coefficients=b, covariance=covariance)
+    return replace(made, all_trims=replace(made.all_trims, model=more))
+
+
 def test_other_balances_are_refused() -> None:
     made = calibrated(1)
     with pytest.raises(UserError, match="no calibration model"):
