@@ -58,6 +58,8 @@ def _calibration_blocks(source: Source[Calibration]) -> Iterator[PageBlock]:
     yield Paragraph(
         f"{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, a linear fit to each trim. "
         "Residual: standard deviation of back-calculated less applied loads."
+        if rows
+        else "Read from a matrix: without load points neither residuals nor standard errors are known."
     )
     for trim in trims.values():
         yield from _trim_warnings(trim)

@@ -59,9 +59,12 @@ def check_load_blocks(calibration: Calibration, suffix: str) -> Iterator[PageBlo
         model = all_trims.model
         scale = full_scale(calibration.geometry, model.components, model.calibrated_range)
         name = f"calibration-check-{n + 1}{suffix}"
+        interval = "with its 95 % prediction interval; red: outside of it"
+        if not np.isfinite(check.prediction_interval[check.is_valid]).any():
+            interval = "whose prediction interval is not known"
         caption = (
-            f"Check loads of {check.label}: computed less applied load of each point in % of the {scale.meaning}, with "
-            "its 95 % prediction interval; red: outside of it. Points for which the model is not valid are left out."
+            f"Check loads of {check.label}: computed less applied load of each point in % of the {scale.meaning}, "
+            f"{interval}. Points for which the model is not valid are left out."
         )
         draw = partial(check_figure, check, model.components, scale.values)
         yield Picture(name, caption, svg(name, f"Check loads of {check.label}", draw))
