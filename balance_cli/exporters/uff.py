@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli import __version__
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.io.errors import UserError
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -36,8 +37,12 @@ def uff_text(transfer: Transfer, created: str) -> str:
 
     One function for each run, component and channel: the response [V/N, V/(N m)] at the node of the channel (direction
     0, a scalar) to the hub (node 1; directions 1 to 6: x, y, z and the rotations about them).
+    Raises UserError where `created` is no date.
     """
-    when = datetime.fromisoformat(created)
+    try:
+        when = datetime.fromisoformat(created)
+    except ValueError as error:
+        raise UserError(f"`{created}` is no date", place="created", remedy="Create the result again") from error
     lines = [*header(transfer.geometry.rig, f"frequency responses, geometry {transfer.geometry.name}", when), *units()]
     for response in transfer.responses:
         for j in range(len(response.components)):

@@ -168,7 +168,6 @@ def _read_provenance(attributes: Mapping[str, str]) -> Provenance:
     texts = [*versions.values(), *(text for entry in entries for text in (entry.name, entry.role, entry.digest))]
     if not all(isinstance(text, str) for text in texts):
         raise ValueError("an entry of the attributes `inputs` and `versions` is not text")
-    datetime.fromisoformat(attributes["created"])
     return Provenance(attributes["command"], options, entries, versions, attributes["created"])
 
 
