@@ -4,7 +4,8 @@ import os
 
 import pytest
 
-from studies.mutation.outcomes import FAULTS, REFUSED, import_program, try_file
+from studies.mutation.outcomes import FAULTS, REFUSED, try_file
+from studies.mutation.processes import import_program
 from studies.mutation.readers import READERS
 
 FILES = 6
