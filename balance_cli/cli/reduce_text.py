@@ -31,6 +31,7 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "redundancy": dict(enumerate(run.redundancy)),
         "redundancy_limit": dict(enumerate(run.redundancy_limit)),
         "condition": dict(enumerate(run.condition)),
+        "unnoticed_errors": _unnoticed_errors(run),
         "channels_left_out": run.left_out,
         "interval_s": run.interval,
         "trim": run.trim,
@@ -44,6 +45,20 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
     if run.in_time is not None:
         summary |= _in_time_summary(run.in_time)
     return summary
+
+
+def _unnoticed_errors(run: RunLoads) -> dict[str, dict[int, dict[str, Any]]] | None:
+    """Return {component: {harmonic: sensor and change of the load}}; None where sensors are not tested."""
+    found = run.unnoticed
+    if found is None:
+        return None
+    return {
+        component: {
+            n + 1: {"sensor": found.sensors[sensor], "change": float(change)}
+            for n, (sensor, change) in enumerate(zip(found.sensor[:, j], found.change[:, j], strict=True))
+        }
+        for j, component in enumerate(run.components)
+    }
 
 
 def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
@@ -76,6 +91,8 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
             yield f"   interaction in the other loads: {_percent(run.check.interaction)}"
         for note in run.notes:
             yield f"   {note}"
+        if run.unnoticed_note:
+            yield f"   {run.unnoticed_note}"
         yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
         yield trust_line(run)
 

@@ -15,6 +15,7 @@ from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.reduction.flags import FLAGS, SEPARATOR
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
+from balance_cli.reduction.reliability import UnnoticedErrors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,7 +91,8 @@ class RunLoads(ResultView):
     sigma_sine (n+1, m); flags (n+1, m) words, empty where nothing is wrong; redundancy (chi-square per degree of
     freedom of the residual test), redundancy_limit, condition (n+1,), NaN where they do not exist; interval [s] that
     was used; `in_time`: of a reduction by a filter or smoother; `rotor`: the number of the rotor whose harmonics they
-    are, None for the first; `conditions`: None in artefacts of former versions.
+    are, None for the first; `conditions`: None in artefacts of former versions; `unnoticed`: what the residual test
+    does not show of errors of the sensors at harmonics 1 to n, None where there is no such test of sensors.
     """
 
     run: str
@@ -113,12 +115,21 @@ class RunLoads(ResultView):
     in_time: TimeDomainResult | None = None
     rotor: int | None = field(default=None, metadata={"omit_if_none": True})
     conditions: RunConditions | None = field(default=None, metadata={"omit_if_none": True})
+    unnoticed: UnnoticedErrors | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def flag_counts(self) -> dict[str, int]:
         """Number of rows with each flag, in the order of `flags.FLAGS`."""
         counts = Counter(word for row in self.flags for words in row for word in words.split(SEPARATOR) if word)
         return {flag: counts[flag] for flag in FLAGS if counts[flag]}
+
+    @property
+    def unnoticed_note(self) -> str:
+        """Which loads an error of one sensor changes most, unnoticed, in words; empty where none matters."""
+        if self.unnoticed is None:
+            return ""
+        sigma = np.maximum(self.sigma_cosine, self.sigma_sine)[1:]
+        return self.unnoticed.describe(self.components, np.abs(self.amplitude[1:]), sigma)
 
     def summary_lines(self) -> Iterator[str]:
         """Run, harmonics, error of a check run, flags."""

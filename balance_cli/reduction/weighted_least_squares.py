@@ -36,13 +36,23 @@ the covariance would tell from noise: the test then finds less.
 
 
 @dataclass(frozen=True)
+class LoadEquations:
+    """Readings (h, a) = T (h, a, b) times loads, their covariance (h, a, a), and the estimator G (h, b, a)."""
+
+    T: Array
+    readings: Array
+    covariance: Array
+    estimator: Array
+
+
+@dataclass(frozen=True)
 class SolvedLoads:
     """Complex loads (h, m) of m components at h harmonics.
 
     covariance (h, 2m, 2m) of [Re, Im], not inflated; model_covariance the same from what the response is known to
     miss; noise_covariance the same from the noise of the record alone, as if the response were exact; redundancy_chi2
     (h,) chi-square per degree of freedom of the residual test; degrees (h,) of freedom; limit (h,) its 99.9 % point;
-    condition (h,).
+    condition (h,); equations that they solve.
     """
 
     loads: ComplexArray
@@ -53,6 +63,7 @@ class SolvedLoads:
     degrees: Array
     limit: Array
     condition: Array
+    equations: LoadEquations
 
     @property
     def misfit(self) -> NDArray[np.bool_]:
@@ -109,7 +120,6 @@ def solve_loads(
     degrees = np.full(len(T), float(a - b))
     bias, limit = _residual_test_limit(share, dof, a - b, few)
     per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
-    singular = np.linalg.svd(_normalize(T, noise, scale), compute_uv=False)
     return SolvedLoads(
         loads=loads[:, : b // 2] + 1j * loads[:, b // 2 :],
         covariance=covariance,
@@ -118,7 +128,8 @@ def solve_loads(
         redundancy_chi2=per_degree,
         degrees=degrees,
         limit=limit,
-        condition=singular[:, 0] / singular[:, -1],
+        condition=_condition(T, noise, scale),
+        equations=LoadEquations(T, y, total, G),
     )
 
 
@@ -173,7 +184,8 @@ def _residual_test_limit(
     return 1.0 - share * (1.0 - unbiased), np.asarray(limit * (1.0 - share * (1.0 - hotelling)))
 
 
-def _normalize(T: Array, noise: Array, scale: Array) -> Array:
-    """Return T with every channel in units of its noise and every load in units of force."""
+def _condition(T: Array, noise: Array, scale: Array) -> Array:
+    """Return the condition (h,) of T with every channel in units of its noise and every load in units of force."""
     sigma = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
-    return np.asarray(T / sigma[:, :, None] / scale)
+    singular = np.linalg.svd(T / sigma[:, :, None] / scale, compute_uv=False)
+    return np.asarray(singular[:, 0] / singular[:, -1])

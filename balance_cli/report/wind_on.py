@@ -224,7 +224,7 @@ def _left_out_blocks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageB
         for name, run in source.content.runs.items():
             for channel, reason in run.left_out.items():
                 left_out.setdefault((name, channel, reason), []).append(source.label)
-            for note in run.notes:
+            for note in filter(None, (*run.notes, run.unnoticed_note)):
                 notes.setdefault((name, note), []).append(source.label)
     for (name, channel, reason), labels in left_out.items():
         where = "" if len(labels) == len(load_sources) else f" (by {join_names(labels)})"

@@ -17,6 +17,7 @@ from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, ha
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
+from balance_cli.reduction.reliability import UnnoticedErrors, unnoticed_errors
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.suspect_channels import describe_suspect_channels
@@ -84,7 +85,7 @@ def reduce_record(
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     errors_known = calibration is None or calibration.errors_known
     notes = record.azimuth.notes if errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
-    loads = _combine_loads(record, mean_solution, harmonic_solution, source)
+    loads = _combine_loads(record, mean_solution, harmonic_solution, source, geometry)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     static = None if calibration is None else nearest_trim(calibration, loads)
     trust = assess_trust(record, geometry, source, static, response, harmonic_solution, sigma)
@@ -98,6 +99,17 @@ def reduce_record(
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     return _with_check_errors(loads, record, harmonic_solution, geometry)
+
+
+def _unnoticed_errors(
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, solved: SolvedLoads
+) -> UnnoticedErrors | None:
+    """Return what the residual test does not show of errors of sensors; None where its rows are not channels."""
+    live = record.health.live
+    if not source.channel_combination(record.spectra.frequency_hz[1:2], live).rows_are_channels:
+        return None
+    sources = {channel.name: channel.source for channel in geometry.channels}
+    return unnoticed_errors(solved.equations, [sources[name] for name in live], solved.degrees, solved.limit)
 
 
 def _with_check_errors(loads: RunLoads, record: RotorRecord, solution: SolvedLoads, geometry: Geometry) -> RunLoads:
@@ -139,7 +151,11 @@ def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord 
 
 
 def _combine_loads(
-    record: RotorRecord, mean_solution: MeanLoads, harmonic_solution: SolvedLoads, source: ResponseSource
+    record: RotorRecord,
+    mean_solution: MeanLoads,
+    harmonic_solution: SolvedLoads,
+    source: ResponseSource,
+    geometry: Geometry,
 ) -> RunLoads:
     """Return the loads with harmonic 0 from the mean loads and the others from the harmonic loads."""
     spectra, m = record.spectra, len(mean_solution.components)
@@ -163,7 +179,11 @@ def _combine_loads(
         left_out=record.health.left_out,
         interval=spectra.interval,
         rotor=None if record.rotor == 1 else record.rotor,
-        conditions=RunConditions(
-            record.run.rotor_speed, record.run.recorded, record.run.note, dict(record.run.conditions)
-        ),
+        conditions=_conditions(record.run),
+        unnoticed=_unnoticed_errors(record, geometry, source, harmonic_solution),
     )
+
+
+def _conditions(run: Run) -> RunConditions:
+    """Return under which conditions a run was made, as its file states them."""
+    return RunConditions(run.rotor_speed, run.recorded, run.note, dict(run.conditions))

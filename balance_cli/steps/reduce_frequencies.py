@@ -16,6 +16,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.harmonic_loads import tone_record
 from balance_cli.reduction.mean_loads import ZeroRecord
+from balance_cli.reduction.reliability import join_harmonics
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
@@ -70,7 +71,8 @@ def _join_tones(parts: Sequence[RunLoads]) -> RunLoads:
     flags = (first.flags[0], *(part.flags[1] for part in parts))
     notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
     interval = (max(part.interval[0] for part in parts), min(part.interval[1] for part in parts))
-    joined = replace(first, **stacked, flags=flags, notes=notes, interval=interval)
+    unnoticed = join_harmonics([part.unnoticed for part in parts])
+    joined = replace(first, **stacked, flags=flags, notes=notes, interval=interval, unnoticed=unnoticed)
     return replace(joined, check=_join_checks(parts) if first.check is not None else None)
 
 

@@ -1,0 +1,96 @@
+"""What the residual test does not show: how far an error of one sensor changes the loads before it is noticed.
+
+An error in the response of a sensor adds the vector b to the readings y = T f + e: the share of its error times what it
+reads. It changes the loads by G b and raises chi-square by b' Q b, Q = W - W T (T' W T)^-1 T' W. Where a sensor is the
+only one that tells a load, Q b is zero and the test stays silent whatever the error. Baarda (A testing procedure for
+use in geodetic networks, Netherlands Geodetic Commission 2 (5), 1968) calls the least error that is noticed the
+internal and its effect on the result the external reliability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.reduction.weighted_least_squares import LoadEquations
+
+Array = NDArray[np.float64]
+
+SENSOR_ERROR = 0.01
+"""Error of the response of a sensor, as a share, for which the loads are examined: what a gain, a mounting or a
+stiffness changes by between two campaigns. Below the error that is noticed, all changes are in proportion to it."""
+NOTABLE_CHANGE = 0.1
+"""Change of a load, as a share of it, from which it is said: one known to 10 % does not serve to compare rotors."""
+NOTABLE_SIGMAS = 2.0
+"""Standard deviations of a load below which a change is within what is stated of it."""
+
+
+@dataclass(frozen=True)
+class UnnoticedErrors:
+    """Change of each load (h, m) by an error of the worst sensor that the residual test leaves, up to SENSOR_ERROR.
+
+    change (h, m) in N and N m; sensor (h, m): the place of that sensor among `sensors`.
+    """
+
+    sensors: tuple[str, ...]
+    sensor: NDArray[np.int64]
+    change: Array
+
+    def describe(self, components: Sequence[str], size: Array, sigma: Array) -> str:
+        """Return sensors and loads that matter, in words, for loads of this size and sigma (h, m); empty without."""
+        share = np.where(self.change > NOTABLE_SIGMAS * sigma, self.change / np.where(size > 0.0, size, np.inf), 0.0)
+        found: dict[str, list[str]] = {}
+        for j, component in enumerate(components):
+            n = int(np.argmax(share[:, j]))
+            if share[n, j] > NOTABLE_CHANGE:
+                part = f"{component} at harmonic {n + 1} by {100.0 * share[n, j]:.2g} %"
+                found.setdefault(self.sensors[self.sensor[n, j]], []).append(part)
+        return "; ".join(
+            f"an error in {sensor} that the redundancy does not show, {100.0 * SENSOR_ERROR:g} % at most, "
+            f"changes {', '.join(parts)}"
+            for sensor, parts in found.items()
+        )
+
+
+def unnoticed_errors(equations: LoadEquations, sensors: Sequence[str], degrees: Array, limit: Array) -> UnnoticedErrors:
+    """Return how far an error of one sensor changes the loads before the residual test shows it.
+
+    `sensors` names the source of each complex row; `degrees` and `limit` (h,) are those of the residual test, which
+    shows an error in half of the cases where chi-square is then expected at its limit.
+    """
+    names = tuple(dict.fromkeys(sensors))
+    belongs = np.array([[sensor == name for sensor in (*sensors, *sensors)] for name in names], float)
+    error = belongs * equations.readings[:, None, :]
+    change = np.einsum("hba,hsa->hsb", equations.estimator, error)
+    m = change.shape[2] // 2
+    tested = degrees > 0
+    excess = np.where(tested, (np.where(tested, limit, 1.0) - 1.0) * degrees, np.inf)
+    with np.errstate(divide="ignore"):
+        noticed = np.sqrt(excess[:, None] / _chi_square(equations, error))
+    size = np.minimum(noticed, SENSOR_ERROR)[:, :, None] * np.hypot(change[..., :m], change[..., m:])
+    worst = np.argmax(size, axis=1)
+    return UnnoticedErrors(names, worst, np.take_along_axis(size, worst[:, None, :], axis=1)[:, 0])
+
+
+def _chi_square(equations: LoadEquations, error: Array) -> Array:
+    """Return by how much each error (h, s, a) of the readings raises the least chi-square (h, s)."""
+    T, columns = equations.T, np.swapaxes(error, 1, 2)
+    weighted = np.linalg.solve(equations.covariance, np.concatenate([T, columns], axis=2))
+    WT, Wb = weighted[:, :, : T.shape[2]], weighted[:, :, T.shape[2] :]
+    G = np.linalg.solve(np.swapaxes(T, 1, 2) @ WT, np.swapaxes(T, 1, 2) @ Wb)
+    return np.asarray(np.maximum(np.einsum("has,has->hs", columns - T @ G, Wb - WT @ G), 0.0))
+
+
+def join_harmonics(parts: Sequence[UnnoticedErrors | None]) -> UnnoticedErrors | None:
+    """Return the first harmonic of each part, one below the other; None where a part has other sensors or none."""
+    known = [part for part in parts if part is not None]
+    if len(known) < len(parts) or len({part.sensors for part in known}) != 1:
+        return None
+    return UnnoticedErrors(
+        known[0].sensors,
+        np.concatenate([part.sensor[:1] for part in known]),
+        np.concatenate([part.change[:1] for part in known]),
+    )
