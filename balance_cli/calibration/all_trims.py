@@ -133,7 +133,7 @@ def calibrate_all_trims(
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
-    points = scheduled = _with_check_points(points, check_points)
+    points = scheduled = replace(_with_check_points(points, check_points), declared_response=declared)
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model, used = screened.fit, screened.fit.model, _fitted_rows(screened.fit)
     by = _fit_for_loads(total, fit, choice)

@@ -31,11 +31,10 @@ class CalibrationPoints:
     """Rows of all runs in the order of loading: `channels` (m, c) [V] and `loads` (m, k) [N, N m].
 
     `calibrated_range` (k,) [N, N m] scales the loads; `run` (m,) is an index into `run_names`; `weight` (m,) follows
-    from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs that do not
-    state their attitude; None where no run does. `stated_series` (m,): labels of the load series, empty where a run
-    states none; `tare_points` (m,): rows stated to be tare points. `check_points` (m,): rows without weight that stand
-    in the schedule. `series` (m,): numbers of the load series where they are known already. `reading_units` (c,): base
-    units of the readings, V where none are given.
+    from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs without an
+    attitude; None where no run states one. `stated_series` (m,): labels of the load series, or empty; `series` (m,):
+    their numbers where known. `tare_points` (m,): rows stated to be that; `check_points` (m,): rows of weight 0 in the
+    schedule. `reading_units` (c,), default V; `declared_response` (c, k) [V/N, V/(N m)], of the geometry.
     """
 
     channel_names: tuple[str, ...]
@@ -52,6 +51,7 @@ class CalibrationPoints:
     check_points: NDArray[np.bool_] | None = None
     series: Index | None = None
     reading_units: tuple[str, ...] = ()
+    declared_response: Array | None = None
 
     def reading_unit(self, channel: int) -> str:
         """Base unit of the readings of a channel."""

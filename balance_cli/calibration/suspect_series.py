@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.own_products import explaining_products
@@ -70,33 +71,46 @@ class _SeriesCheck:
     unpredicted: frozenset[str]
 
 
+@dataclass(frozen=True)
+class _Exclusion:
+    """Rows (m,) of a load series to be excluded, its suspect channels, and in words what decided, empty by default."""
+
+    rows: NDArray[np.bool_]
+    channels: list[SuspectLoadSeries]
+    note: str = ""
+
+
 def exclude_suspect_series(
     points: CalibrationPoints, choice: TermChoice
 ) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
-    """Exclude load series until the rest agree; returns the remaining points, their fit, the series and notes."""
+    """Exclude load series until the rest agree; returns the remaining points, their fit, the series and notes.
+
+    Raises UserError where two load series contradict each other in sign or size, and nothing tells which is wrong.
+    """
     suspect_series: list[SuspectLoadSeries] = []
+    notes: list[str] = []
     included, fit, worst = points, *_fit_and_find_worst(points, choice)
     while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
-        rows, suspect_channels = worst
-        included = included.exclude_rows(rows)
+        included = included.exclude_rows(worst.rows)
+        excluded = worst
         fit, worst = _fit_and_find_worst(included, choice)
-        cause = series_cause(fit.model, points, rows)
-        suspect_series += [replace(suspect, cause=cause) for suspect in suspect_channels]
-    notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
-    return included, fit, tuple(suspect_series), notes
+        cause = series_cause(fit.model, points, excluded.rows)
+        suspect_series += [replace(suspect, cause=cause) for suspect in excluded.channels]
+        notes += filter(None, [excluded.note])
+    if worst is not None:
+        notes.append(f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree")
+    return included, fit, tuple(suspect_series), tuple(notes)
 
 
-def _fit_and_find_worst(
-    points: CalibrationPoints, choice: TermChoice
-) -> tuple[CalibrationModelFit, tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None]:
+def _fit_and_find_worst(points: CalibrationPoints, choice: TermChoice) -> tuple[CalibrationModelFit, _Exclusion | None]:
     fit = fit_calibration_model(points, choice)
     return fit, _worst_series(points, fit, fit if choice.is_linear else fit_calibration_model(points, LINEAR_TERMS))
 
 
 def _worst_series(
     points: CalibrationPoints, fit: CalibrationModelFit, linear_fit: CalibrationModelFit
-) -> tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None:
-    """Rows (m,) of the load series without which the others agree best, and its suspect channels; None without any.
+) -> _Exclusion | None:
+    """The load series without which the others agree best; None where none is suspected.
 
     A load series is suspected only if it deviates both from the model of the loads alone and from that with the
     selected terms, because nonlinearity explained by terms is not a fault. Where two series disagree and no third one
@@ -121,9 +135,17 @@ def _worst_series(
     misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in candidates}
     worst = min(candidates, key=lambda name: misfit[name])
     words = dict(_series_names(np.unique(load_series[used]), fit))
-    limit = AMBIGUITY_FACTOR * misfit[worst]
-    alternatives = tuple(words[name] for name in candidates if name != worst and misfit[name] < limit)
-    return (load_series == worst) & used, [replace(suspect, alternatives=alternatives) for suspect in candidates[worst]]
+    tied = [worst, *(name for name in candidates if name != worst and misfit[name] < AMBIGUITY_FACTOR * misfit[worst])]
+    rivals = [LoadSeriesRows((load_series == name) & used, words[name]) for name in tied]
+    if len(rivals) == 1 or not contradicts(points, rivals[0].rows):
+        others = tuple(each.words for each in rivals[1:])
+        return _Exclusion(rivals[0].rows, [replace(suspect, alternatives=others) for suspect in candidates[worst]])
+    wrong = decide_by_declared(points, rivals)
+    if wrong is None:
+        raise undecided_error(points, rivals)
+    names = " and ".join(each.words for each in rivals)
+    note = f"{names} contradict each other; the response of the declared geometry refutes {rivals[wrong].words}"
+    return _Exclusion(rivals[wrong].rows, candidates[tied[wrong]], note)
 
 
 def _unexplained_channels(

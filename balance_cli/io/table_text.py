@@ -24,7 +24,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
 from balance_cli.io.table_rows import separate_rows
 from balance_cli.io.text_cells import SEPARATORS, find_encoding, is_remark, require_no_workbook
-from balance_cli.io.text_numbers import fillers_as_missing, is_grouped, is_missing
+from balance_cli.io.text_numbers import FILLER_RATIO, fillers_as_missing, is_grouped, is_missing
 from balance_cli.io.units import is_unit
 
 Array = NDArray[np.float64]
@@ -69,16 +69,18 @@ class TextTable:
         """The cells (n,) of a column."""
         return tuple(cells[column] for _, cells in self.rows)
 
-    def numbers(self, column: int, allow_missing: bool = False, allow_empty: bool = False) -> Array:
+    def numbers(
+        self, column: int, allow_missing: bool = False, allow_empty: bool = False, ratio: float = FILLER_RATIO
+    ) -> Array:
         """The numbers (n,) of a column; raises UserError, with line and column, for a cell that is none.
 
-        With `allow_missing` they are NaN where a word (`NA`, `-`) or a number such as -9999 stands for no value, and
-        with `allow_empty` where the cell is empty.
+        With `allow_missing` they are NaN where a word (`NA`, `-`) or a number such as -9999, more than `ratio` times
+        all others, stands for no value, and with `allow_empty` where the cell is empty.
         """
         name = self.header[column]
         cells = [(line, row[column] or ("nan" if allow_empty else "")) for line, row in self.rows]
         values = np.array([self._number(line, cell, name, allow_missing) for line, cell in cells])
-        return fillers_as_missing(values[:, None])[:, 0] if allow_missing else values
+        return fillers_as_missing(values[:, None], ratio)[:, 0] if allow_missing else values
 
     def _number(self, line: int, cell: str, column: str, allow_missing: bool) -> float:
         if not cell:

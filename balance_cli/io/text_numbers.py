@@ -27,6 +27,8 @@ FILLERS = (*(float("9" * digits) for digits in range(3, 8)), 9.9e37, 9.91e37, 3.
 """Numbers that loggers write, with either sign, for no value: -9999, SCPI overload, the largest of float32."""
 FILLER_RATIO = 20.0
 """Ratio of a filler to the largest of the other values: a reading among others, such as 9999 counts, is one of many."""
+LOAD_FILLER_RATIO = 2.0
+"""The same for applied loads: they come in steps, and the largest is not twice the next one and all nines besides."""
 
 _ENDS = r"[eEdD][-+]?\d+"
 _PLAIN = {
@@ -105,8 +107,8 @@ def without_blanks(text: bytes, separator: str) -> bytes:
     return re.sub(blanks, b"", text) if separator != " " else text
 
 
-def fillers_as_missing(values: Array) -> Array:
-    """Samples (n, k) with NaN for numbers that stand for no value, such as -9999 far from all other values."""
+def fillers_as_missing(values: Array, ratio: float = FILLER_RATIO) -> Array:
+    """Samples (n, k) with NaN for numbers that stand for no value, such as -9999, `ratio` times all other values."""
     if not np.any(np.abs(values) >= FILLERS[0]):
         return values
     for column in values.T:
@@ -114,6 +116,6 @@ def fillers_as_missing(values: Array) -> Array:
         for filler in FILLERS:
             is_filler = sizes == filler
             others = sizes[~is_filler & np.isfinite(sizes)]
-            if is_filler.any() and others.max(initial=0.0) * FILLER_RATIO < filler:
+            if is_filler.any() and others.max(initial=0.0) * ratio < filler:
                 column[is_filler] = np.nan
     return values

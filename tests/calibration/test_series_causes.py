@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli.calibration_text import math_model_warnings
-from tests.support.calibration_stand import stand_points
+from balance_cli.io.errors import UserError
+from tests.support.calibration_stand import CHANNELS, FULL_RANGE, NOISE, stand_points, true_model
 
 FACTORS = {
     "reversed": (-1.0, "its loads seem to be of the other sign"),
@@ -70,3 +73,44 @@ def test_one_wrong_channel_is_no_mistake_of_the_loads():
     channels[rows, c] = channels[rows, c].mean() + 1.3 * (channels[rows, c] - channels[rows, c].mean())
     whole, named = causes(replace(points, channels=channels))
     assert whole.suspect_series and named == {None}
+
+
+def two_series_a_load(wrong, factor):
+    """Each load in one series to either side; the loads of one of the series are `factor` times the true ones."""
+    up = np.r_[0.0, np.arange(1, 6), np.arange(4, 0, -1)] / 5.0
+    x = np.vstack([np.outer(side * up, np.eye(6)[j]) for j in range(6) for side in (1, -1)])
+    series = np.repeat(np.arange(12), len(up))
+    read = x @ true_model()[1][:6] + NOISE * np.random.default_rng(0).normal(size=(len(x), 8))
+    loads = x * FULL_RANGE * np.where(series == wrong, factor, 1.0)[:, None]
+    size = np.abs(loads).max(axis=0)
+    return series, CalibrationPoints(
+        channel_names=CHANNELS,
+        components=COMPONENTS,
+        run_names=("stand",),
+        channels=read,
+        loads=loads,
+        run=np.zeros(len(x), int),
+        weight=np.ones(len(x)),
+        calibrated_range=size,
+        stated_series=tuple(map(str, series)),
+    )
+
+
+@pytest.mark.parametrize("wrong", [4, 5])
+@pytest.mark.parametrize("factor", [-1.0, 4.4482216])
+def test_two_series_that_contradict_each_other_are_settled_by_the_declared_rig_or_refused(wrong, factor):
+    series, points = two_series_a_load(wrong, factor)
+    with pytest.raises(UserError, match=r"rows 41 to 50 \(Fz\) and .*rows 51 to 60 \(Fz\): contradict .*sign .* of Fz"):
+        calibrate_all_trims(points)
+    declared = 1.03 * (true_model()[1][:6] / FULL_RANGE[:, None]).T
+    whole = calibrate_all_trims(points, declared=declared)
+    np.testing.assert_array_equal(~np.isfinite(whole.residuals).all(axis=1), series == wrong)
+    assert any("declared geometry refutes" in note for note in whole.screening_notes)
+    response = whole.model.coefficients[:6] / whole.model.calibrated_range[:, None]
+    np.testing.assert_allclose(response.T, declared / 1.03, atol=2e-2 * np.abs(declared).max(axis=0).min())
+
+
+def test_declared_sensitivities_that_fit_neither_series_settle_nothing():
+    _, points = two_series_a_load(5, -1.0)
+    with pytest.raises(UserError, match="contradict"):
+        calibrate_all_trims(points, declared=np.random.default_rng(1).normal(size=(8, 6)) / FULL_RANGE)

@@ -134,3 +134,13 @@ def test_faults_name_line_and_column(tmp_path: Path, text: str, words: str) -> N
 def test_excitation_must_be_positive(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"line 3, column `excitation \[V\]`: an excitation of 0 V"):
         read(tmp_path, "B1 [mV],B2 [mV],excitation [V]\n1,2,5\n1,2,0\n")
+
+
+@pytest.mark.parametrize("filler", ["-999", "999", "-9999"])
+def test_loads_of_nines_far_from_all_others_are_missing(tmp_path: Path, filler: str) -> None:
+    rows = "\n".join(f"{fx},0,1,2" for fx in (0, 200, -400, filler, 400))
+    table = read(tmp_path, f"Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n{rows}\n", TableReading(allow_missing=True))
+    np.testing.assert_array_equal(table.hub_loads[:, 0], [0, 200, -400, np.nan, 400])
+    steps = "\n".join(f"{fx},0,1,2" for fx in (0, 333, 666, 999))
+    table = read(tmp_path, f"Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n{steps}\n", TableReading(allow_missing=True))
+    assert table.hub_loads[3, 0] == 999.0

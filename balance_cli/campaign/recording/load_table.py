@@ -25,6 +25,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
+from balance_cli.io.text_numbers import LOAD_FILLER_RATIO
 from balance_cli.io.units import NUMBER, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit, split_unit
 
 Array = NDArray[np.float64]
@@ -194,7 +195,8 @@ class _TableReader:
     def _hub_loads(self, load_units: Mapping[str, Unit]) -> Array:
         allow = self.reading.allow_missing
         values = {
-            name: unit.to_base(self.table.numbers(self.columns[name].index, allow)) for name, unit in load_units.items()
+            name: unit.to_base(self.table.numbers(self.columns[name].index, allow, ratio=LOAD_FILLER_RATIO))
+            for name, unit in load_units.items()
         }
         if set(values) <= set(COMPONENTS):
             zero = np.zeros(len(self.table.rows))
