@@ -139,8 +139,10 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
         )
         trials = (*trials, *merged)
         count, last = len(confirmation.scores), last_round(trials) + 1
-        fit, pruned = prune_effects(fit, batches, count, last, settings)
-        fit, dropped = drop_unsupported_effects(fit, batches, error_runs, task.certain_labels, last, settings)
+        fit, pruned = prune_effects(fit, batches, count, last, task.announce, settings)
+        fit, dropped = drop_unsupported_effects(
+            fit, batches, error_runs, task.certain_labels, last, task.announce, settings
+        )
         comparison = compare_alternatives(
             fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
         )

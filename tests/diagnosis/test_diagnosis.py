@@ -21,7 +21,11 @@ from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection import candidate_refits
 from balance_cli.diagnosis.selection.alternatives import compare_alternatives
 from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain, split_folds
-from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, refit_without_effect
+from balance_cli.diagnosis.selection.effect_selection import (
+    drop_unsupported_effects,
+    prune_effects,
+    refit_without_effect,
+)
 from balance_cli.diagnosis.selection.effect_statistics import confounding_limit, effect_wald_statistic
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
@@ -319,6 +323,10 @@ def test_a_better_alternative_replaces_an_effect(late):
     assert not kept.effect_support
 
 
+def never_over(what: str) -> bool:
+    return False
+
+
 def test_small_effects_are_dropped_beside_a_large_residual():
     """A channel that bends is in no file of effects; a gain that takes a little off what it leaves is no finding."""
     batches = lines_of(simulated_spectra(BENDS))
@@ -333,10 +341,12 @@ def test_small_effects_are_dropped_beside_a_large_residual():
     names = [name for batch in batches for name in batch.run_names]
     one, every = (unexplained_chi2(fit, batches, runs, SETTINGS.fit) for runs in (names[:1], names))
     assert unexplained < one < every == pytest.approx(fit.minimum.data.chi2)
-    less, trials = drop_unsupported_effects(fit, batches, (), (), 3, SETTINGS)
+    assert drop_unsupported_effects(fit, batches, (), (), 3, lambda what: True, SETTINGS) == (fit, ()), "no time"
+    assert prune_effects(fit, batches, 400, 3, lambda what: True, SETTINGS) == (fit, ())
+    less, trials = drop_unsupported_effects(fit, batches, (), (), 3, never_over, SETTINGS)
     assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
     assert not less.model.geometry.effects
-    assert drop_unsupported_effects(fit, batches, (), ("channel-gain@y2.strain",), 3, SETTINGS) == (fit, ())
+    assert drop_unsupported_effects(fit, batches, (), ("channel-gain@y2.strain",), 3, never_over, SETTINGS) == (fit, ())
 
 
 STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={"stiffness": 2e4})
@@ -370,7 +380,7 @@ def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
     monkeypatch.setattr(
         "balance_cli.diagnosis.selection.effect_selection.unexplained_chi2", lambda fit, batches, runs, settings: 1e5
     )
-    assert drop_unsupported_effects(fit, batches, (), (), 3, SETTINGS) == (fit, ())
+    assert drop_unsupported_effects(fit, batches, (), (), 3, never_over, SETTINGS) == (fit, ())
 
 
 def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):

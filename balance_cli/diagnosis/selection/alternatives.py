@@ -87,7 +87,7 @@ def compare_alternatives(
         refit = comparison.refits[better]
         replaced = _replacement_trials(number, label, better, fit.chi2 - refit.chi2, comparison.support.parameters)
         known[better] = (label, *known.get(label, ()))
-        fit, removed = prune_effects(refit, batches, count, number, settings)
+        fit, removed = prune_effects(refit, batches, count, number, announce, settings)
         result = ComparisonResult(fit, {}, (*result.trials, *replaced, *removed))
     return result
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from balance_cli.model.effects import Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
+Announce = Callable[[str], bool]
 
 REASON_NOT_NEEDED = "later effects have made it needless"
 REASON_NOT_SUPPORTED = "what no effect explains is larger and could look like it"
@@ -59,15 +60,19 @@ def _declared_and_placed(geometry: Geometry) -> list[tuple[DeclaredEffect, Place
 
 
 def prune_effects(
-    fit: Fit, batches: Sequence[Batch], count: int, number: int, settings: SearchSettings
+    fit: Fit, batches: Sequence[Batch], count: int, number: int, announce: Announce, settings: SearchSettings
 ) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model without effects, and without motions of effects, that others have made unnecessary.
+
+    Once `announce` says that the time is over, the remaining effects stay as they are.
 
     A shape of several parameters adapts to the noise, so that these count as well (Davies, Biometrika 64 (1977)
     247: the supremum over parameters that are unidentifiable at the null).
     """
     limits, trials = settings.selection, list[Trial]()
     for effect in sorted(declared_effects(fit.model.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
+        if announce(f"need of {effect.label}"):
+            break
         gain, parameters = effect_wald_statistic(fit, effect)
         fitted = max(parameters, 1) + shape_parameter_count(fit, effect)
         weak = gain < limits.strong_gain
@@ -207,22 +212,27 @@ def drop_unsupported_effects(
     error_runs: Collection[str],
     certain_labels: Collection[str],
     number: int,
+    announce: Announce,
     settings: SearchSettings,
 ) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model without effects whose gain is small beside the chi-square that no effect explains.
 
     What is unexplained could look like them. Where the weights of `error_runs` carry a model error, an effect must gain
-    more than all of it. Effects with `certain_labels` stay.
+    more than all of it. Effects with `certain_labels` stay. So do the others, once `announce` says that the time is
+    over: only a refit can tell what is lost without one.
     """
     trials: list[Trial] = []
     share = 1.0 if error_runs else settings.selection.min_effect_share
     while threshold := share * unexplained_chi2(fit, batches, error_runs, settings.fit):
         weak = [
-            (effect, refit_without_effect(fit, effect, batches, settings.fit))
+            effect
             for effect in declared_effects(fit.model.geometry)
             if effect.label not in certain_labels and effect_wald_statistic(fit, effect)[0] < threshold
         ]
-        effect, reduced = min(weak, key=lambda item: item[1].chi2, default=(None, fit))
+        if weak and announce(f"support of {len(weak)} effects"):
+            break
+        refits = [(effect, refit_without_effect(fit, effect, batches, settings.fit)) for effect in weak]
+        effect, reduced = min(refits, key=lambda item: item[1].chi2, default=(None, fit))
         gain = reduced.chi2 - fit.chi2
         if effect is None or gain >= threshold:
             break
