@@ -78,6 +78,7 @@ def _trial_summary(trial: Trial) -> dict[str, Any]:
         "decision": trial.decision,
         "why": trial.reason,
         "folds": trial.cross_validation_gain,
+        "noise_dof": trial.noise_dof,
     }
 
 

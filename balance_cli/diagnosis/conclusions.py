@@ -176,10 +176,11 @@ def _evidence(effect: PlacedEffect, update: UpdateResult) -> Evidence:
     support = update.effect_support[effect.label]
     count = len(update.confirmation.scores) if support.candidates is None else support.candidates
     trial = next((item for item in update.trials if _added(item, effect.label)), None)
+    noise_dof = float("inf") if trial is None or trial.noise_dof is None else trial.noise_dof
     return Evidence(
         gain=support.gain,
         parameters=support.parameters,
-        p_value=bonferroni_p_value(support.gain, max(support.parameters, 1), count),
+        p_value=bonferroni_p_value(support.gain, max(support.parameters, 1), count, noise_dof),
         score=trial.score if trial else float("nan"),
         cross_validation_gain=trial.cross_validation_gain if trial else float("nan"),
         round=trial.round if trial else 0,

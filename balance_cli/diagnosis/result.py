@@ -97,7 +97,8 @@ class Trial:
 
     `score`: predicted gain of chi-square, for so many `parameters`, with its corrected `p_value`. `gain` after the
     refit (NaN without a refit). `decision`: `accepted`, `rejected`, `removed` or `narrowed`, and its `reason`.
-    `cross_validation_gain`: gain on lines that the fit had not used (NaN where it was not computed).
+    `cross_validation_gain`: gain on lines that the fit had not used (NaN where it was not computed). `noise_dof`:
+    degrees of freedom of the noise against which it was tested (None: known exactly).
     """
 
     round: int
@@ -109,6 +110,7 @@ class Trial:
     decision: str
     reason: str = field(default="", metadata={"stored_as": "why"})
     cross_validation_gain: float = field(default=float("nan"), metadata={"stored_as": "folds"})
+    noise_dof: float | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)

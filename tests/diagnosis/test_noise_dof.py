@@ -36,6 +36,10 @@ def run_information(slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: 
     return RunInformation(batch, np.zeros(len(information)), information[:1], blocks, weighted)
 
 
+INVERSE = 1.0 - 3.0 / 30.0
+"""Share of the dof that is left where 3 channels are weighted by the inverse of a covariance of 30."""
+
+
 def part(shape: np.ndarray, share: np.ndarray, size: float = 1.0, error: float = 0.5) -> NoisePart:
     return NoisePart(np.asarray(shape, float), np.asarray(share, float), size, error)
 
@@ -68,7 +72,7 @@ def test_each_direction_has_the_dof_of_the_part_that_it_feels():
     )
     run = run_information(slopes_along(0, 2), parts)
     found = noise_dof([run], FITTED, [np.array([1]), np.array([2])], [NONE, NONE], MIN_DOF)
-    assert found == pytest.approx([50.0, 8.0])
+    assert found == pytest.approx([50.0 * INVERSE, 8.0 * INVERSE])
 
 
 def test_two_parts_combine_by_satterthwaite():
@@ -76,14 +80,16 @@ def test_two_parts_combine_by_satterthwaite():
     shape = np.diag([1.0, 0.0, 0.0])
     parts = (part(shape, np.ones(4), 1.0, np.sqrt(2.0 / 50.0)), part(shape, np.ones(4), 3.0, 1.5))
     run = run_information(slopes_along(0), parts)
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(16.0 / (1 / 50 + 9 / 8))
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(
+        INVERSE * 16.0 / (1 / 50 + 9 / 8)
+    )
 
 
 def test_a_part_that_was_found_to_be_nothing_is_doubtful_all_the_same():
     shape = np.diag([1.0, 0.0, 0.0])
     parts = (part(shape, np.ones(4), 1.0, 0.0), part(shape, np.ones(4), 0.0, 0.5))
     run = run_information(slopes_along(0), parts)
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(2.0 / 0.25)
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(INVERSE * 2.0 / 0.25)
 
 
 def test_a_part_counts_in_its_own_lines_only():
@@ -92,7 +98,19 @@ def test_a_part_counts_in_its_own_lines_only():
     slopes = slopes_along(0)
     slopes[2:] = 0.0
     run = run_information(slopes, parts)
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(2.0 / 0.01)
+    shown = 4.0 * (1.0 + 1.0 + 0.25**2 + 0.25**2) / 2.5**2
+    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)
+    assert found == pytest.approx(INVERSE * 2.0 / (0.01 * shown)), "the later lines tell a quarter as much of it"
+
+
+def test_a_noise_that_another_hides_in_most_lines_has_the_dof_of_the_others():
+    """The noise of a load in three of four lines, 1000 times that of the channel: one line tells the latter."""
+    shape, loaded = np.diag([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 1.0, 1.0])
+    parts = (part(np.eye(3), np.ones(4), 1.0, 0.25), part(shape, loaded, 1e6, 0.0))
+    slopes = slopes_along(0, 1)
+    slopes[1:, 0] = 0.0
+    found = noise_dof([run_information(slopes, parts)], FITTED, [np.array([1]), np.array([2])], [NONE, NONE], MIN_DOF)
+    assert found == pytest.approx([INVERSE * 32.0 / 4.0, INVERSE * 32.0])
 
 
 def test_what_the_fitted_parameters_take_along_is_left_out():
@@ -103,7 +121,9 @@ def test_what_the_fitted_parameters_take_along_is_left_out():
     slopes[:, 0, 1] = slopes[:, 2, 1] = 1.0
     run = run_information(slopes, parts)
     assert run.variance(FITTED, np.array([1]), np.ones((1, 1))) == pytest.approx([4.0])
-    assert noise_dof([run], FITTED, [np.array([1])], [np.ones((1, 1))], MIN_DOF)[0] == pytest.approx(2.0 / 0.01)
+    assert noise_dof([run], FITTED, [np.array([1])], [np.ones((1, 1))], MIN_DOF)[0] == pytest.approx(
+        INVERSE * 2.0 / 0.01
+    )
 
 
 def test_a_noise_of_which_nothing_is_known_makes_no_gain_significant():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.score_statistics import Score
 
@@ -23,4 +25,5 @@ def make_trial(
         decision="accepted" if accepted else "rejected",
         reason=reason,
         cross_validation_gain=validation,
+        noise_dof=float(score.noise_dof) if np.isfinite(score.noise_dof) else None,
     )
