@@ -71,7 +71,7 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     None where the terms of `fit`, which were selected, have decisively more evidence, or where none was selected and
     the loads alone have more; where no coefficient but those of the loads is determined, or the rows are too few.
     """
-    points = replace(points, weight=np.where(np.isfinite(fit.residuals).all(axis=1), points.weight, 0.0))
+    points = points.exclude_rows(~np.asarray(np.isfinite(fit.residuals).all(axis=1)))
     used = points.weight > 0
     block, weight = points.load_series[used], points.weight[used]
     columns = _determined_columns(points.x[used], block)

@@ -1,5 +1,7 @@
 """Random terms: variances by restricted likelihood, directions that were left out, and the choice of the model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -158,3 +160,16 @@ def test_slopes_that_scatter_between_series_are_an_error_of_new_loads():
     expected = scatter * np.sqrt(np.mean(linear**2, axis=0))
     assert np.all(sigma > 0.6 * expected) and np.all(sigma < 2.0 * expected)
     assert np.isnan(random.model.t[3:]).all() and np.isfinite(random.model.t[:3]).all()
+
+
+def test_rows_that_were_excluded_leave_the_load_series_as_they_were():
+    """The schedule of the other rows alone would read differently, with more load series or fewer."""
+    rng = np.random.default_rng(4)
+    x, series = ramps()
+    points = replace(points_of(x, series, readings_of(softening(rng), x, series, rng)), series=None)
+    rows = np.zeros(len(x), bool)
+    rows[[3, 8, 21, 32]] = True
+    fit = fit_calibration_model(points.exclude_rows(rows))
+    found = fit_random_terms(points, fit)
+    assert found is not None
+    assert found.model.zeros.shape == fit.model.zeros.shape
