@@ -179,6 +179,15 @@ def student_widening(dof: float) -> float:
     return float((stats.t.ppf(at, dof) / stats.norm.ppf(at)) ** 2)
 
 
+def zero_scatter(zeros: Array) -> Array:
+    """Covariance (c, c) of the zeros (s, c) of load series about their mean: what an unknown zero may differ by.
+
+    Widened for the number of zeros that tell it; zero where there is but one.
+    """
+    s, c = zeros.shape
+    return np.atleast_2d(np.cov(zeros.T)) * student_widening(float(s - 1)) if s > 1 else np.zeros((c, c))
+
+
 def weighted_inverse(C: Array, covariance: Array) -> Array:
     """Compute W (k, c) with W C = 1 for C (c, k), of least variance where there are more channels than loads."""
     if C.shape[0] == C.shape[1]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.math_model import student_widening
+from balance_cli.calibration.math_model import student_widening, zero_scatter
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
@@ -130,7 +130,7 @@ def _loads_by_component(loads: MeanLoads) -> Mapping[str, float]:
 def _loads_by_trim(
     trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None
 ) -> MeanLoads:
-    unloaded = trim.offsets.mean(axis=0)
+    unloaded = CalibrationZeros(trim.offsets.mean(axis=0), trim.offsets)
     reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
     C0 = trim.C0[reading.rows]
     if not determines_loads(C0 * trim.calibrated_range):
@@ -200,17 +200,26 @@ def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array, cou
     return np.asarray(covariance[np.ix_(rows, rows)])
 
 
+@dataclass(frozen=True)
+class CalibrationZeros:
+    """The reading (c,) [V] of the unloaded rig in the calibration, and the zeros (s, c) of its runs or load series."""
+
+    unloaded: Array
+    each: Array
+
+
 def mean_reading(
     channel_names: Sequence[str],
     reference_reading: Array,
-    unloaded: Array,
+    zeros: CalibrationZeros,
     spectra: Harmonics,
     health: ChannelHealth,
     zero: ZeroRecord | None,
 ) -> MeanReading:
     """Mean reading of the usable channels less `reference_reading` (c,) and less the zero shift.
 
-    The zero shift is the reading of the zero record less the reading `unloaded` (c,) of the calibration.
+    The zero shift is the reading of the zero record less that of the unloaded rig in the calibration. Without a zero
+    record it is not known, and scatters as the zeros of the calibration do.
     """
     usable = set(health.live) & set(channel_names)
     if zero is not None:
@@ -220,12 +229,15 @@ def mean_reading(
     spectrum_columns = spectra.columns(names)
     change = spectra.amplitude[0, spectrum_columns].real - reference_reading[rows]
     covariance = np.real(spectra.covariance[0][np.ix_(spectrum_columns, spectrum_columns)])
-    if zero is not None:
-        at = [zero.channel_names.index(name) for name in names]
-        change = change - (zero.mean[at] - unloaded[rows])
-        covariance = covariance + np.diag(zero.variance[at])
     dof = 2.0 * float(spectra.dof[0])
-    return MeanReading(rows, change, covariance, dof if zero is None else min(dof, ZERO_SEGMENTS - 1.0))
+    if zero is None:
+        scatter = zero_scatter(zeros.each)[np.ix_(rows, rows)]
+        known = len(zeros.each) > 1
+        return MeanReading(rows, change, covariance + scatter, min(dof, len(zeros.each) - 1.0) if known else dof)
+    at = [zero.channel_names.index(name) for name in names]
+    change = change - (zero.mean[at] - zeros.unloaded[rows])
+    covariance = covariance + np.diag(zero.variance[at])
+    return MeanReading(rows, change, covariance, min(dof, ZERO_SEGMENTS - 1.0))
 
 
 def determines_loads(C0: Array) -> bool:

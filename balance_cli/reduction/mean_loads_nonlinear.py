@@ -20,6 +20,7 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import (
+    CalibrationZeros,
     MeanLoads,
     MeanReading,
     ZeroRecord,
@@ -76,8 +77,8 @@ def nonlinear_mean_loads(
     all_trims = calibration.all_trims
     level = np.zeros(len(model.components)) if all_trims is None else all_trims.level_weight_loads
     natural = model.zeros.mean(axis=0)
-    unloaded = natural + model.readings(level[None])[0]
-    reading = mean_reading(model.channel_names, natural, unloaded, spectra, health, zero)
+    zeros = CalibrationZeros(natural + model.readings(level[None])[0], model.zeros)
+    reading = mean_reading(model.channel_names, natural, zeros, spectra, health, zero)
     rows = np.array(reading.rows, dtype=np.intp)
     if not _loads_determined(model, rows):
         raise undetermined_loads_error(health, spectra.run)

@@ -16,6 +16,7 @@ from balance_cli.calibration.math_model import (
     CONFIDENCE,
     CalibrationModel,
     student_widening,
+    zero_scatter,
 )
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.trim_model import model_of_trim
@@ -165,15 +166,6 @@ def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[f
     )
 
 
-def _zero_scatter(model: CalibrationModel) -> Array:
-    """Covariance (c, c) of the zeros of the load series about their mean: what an unknown zero may differ by.
-
-    Widened for the number of zeros that tell it.
-    """
-    c, s = len(model.channel_names), len(model.zeros)
-    return np.atleast_2d(np.cov(model.zeros.T)) * student_widening(float(s - 1)) if s > 1 else np.zeros((c, c))
-
-
 # ---- loads -----------------------------------------------------------------------------------------------------------
 
 
@@ -198,7 +190,7 @@ def _solve(usable: _Model, change: Array, non_iterative: bool) -> tuple[Array, N
 
 def _reading_covariances(readings: PointReadings, usable: _Model, subtracted: SubtractedZero) -> Array:
     """Covariance (n, c, c) of each reading less its zero, with that of what was taken off it before."""
-    scatter = _zero_scatter(usable.model)[np.ix_(usable.rows, usable.rows)]
+    scatter = zero_scatter(usable.model.zeros)[np.ix_(usable.rows, usable.rows)]
     noise = (1.0 + subtracted.variance)[:, None, None] * usable.noise + subtracted.scatter[:, None, None] * scatter
     if readings.covariance is None:
         return noise

@@ -81,6 +81,27 @@ def test_sigma_covers_the_errors_of_calibration_and_record():
     assert np.mean(found.sigma / AMPLITUDE) < 1e-4
 
 
+@pytest.mark.parametrize("curved", [True, False])
+def test_sigma_without_a_zero_record_covers_the_scatter_of_the_zeros(curved):
+    rng = np.random.default_rng(4)
+    scatter, whole = 2e-3, calibration(curved)
+    zeros = 0.05 + scatter * rng.normal(size=(25, len(NAMES)))
+    trims = {name: replace(trim, offsets=zeros) for name, trim in whole.trims.items()}
+    cal, inside = replace(with_model(whole, zeros=zeros), trims=trims), []
+    for _ in range(40):
+        loads = 0.5 * AMPLITUDE * rng.uniform(-1, 1, 6)
+        response = readings(loads)[0] if curved else loads @ cal.trims["bare"].C0.T
+        mean = spectra(0.05 + scatter * rng.normal(size=len(NAMES)) + response, 1e-5)
+        found = (
+            nonlinear_mean_loads(mean, cal, cal.all_trims.model, ALL_LIVE, None)
+            if curved
+            else linear_mean_loads(mean, cal, ALL_LIVE, None)
+        )
+        assert found.flags == ("no zero",) * 6
+        inside.append(np.abs(found.loads - loads) < 1.96 * found.sigma)
+    assert 0.91 < np.mean(inside) < 0.99
+
+
 def test_readings_that_contradict_each_other_are_flagged():
     volts = 0.05 + readings(LOADS)[0]
     volts[NAMES.index("z2.strain")] += 0.01
