@@ -3,8 +3,10 @@
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.search import search
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
 from balance_cli.diagnosis.search.restarts import restart_one_by_one, restarted_values
+from balance_cli.diagnosis.search.rounds import RoundResult
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measurements import stack_runs
@@ -95,3 +97,14 @@ def test_a_small_error_restarts_masses_only():
         return [np.flatnonzero(values != theta) for values in restarted_values(state, DEFAULT_SETTINGS)]
 
     assert len(restarted(0.1)) == 4 and [place in changed for changed in restarted(0.01)] == [True, True]
+
+
+def test_a_state_that_no_restart_has_improved_is_not_restarted_again(monkeypatch):
+    model, restarted = supported_model(), []
+    stuck = SearchState(model, model.parameters.value, {"sweep-Fz": 0.1}, 0.0, 0.0)
+    monkeypatch.setattr(search, "fit_until_stable", lambda *_: stuck)
+    monkeypatch.setattr(search, "search_round", lambda *_: RoundResult(None))
+    monkeypatch.setattr(search, "restart_if_better", lambda state, *_: restarted.append(state))
+    result = search.search(model, stuck.theta, SearchLines((), ()), lambda what: False, (), DEFAULT_SETTINGS)
+    assert result.state is stuck
+    assert len(restarted) == 1

@@ -61,6 +61,7 @@ def search(
         added = search_round(result.state, lines, 1, pool, settings) if pool else RoundResult(None)
         result = result.add(added.state or result.state, added.trials, added.alternatives)
     limits, stuck = settings.rounds, False
+    tried: SearchState | None = None
     for number in range(1, limits.max_effects + 1):
         state = result.state
         if state.error < limits.small_error:
@@ -71,7 +72,7 @@ def search(
         result = result.add(added.state or state, added.trials, added.alternatives)
         if not stuck and _is_slow(state, added.state, settings):
             restarted = restart_if_better(result.state, lines, settings)
-            stuck = restarted is None
+            stuck, tried = restarted is None, result.state
             if restarted is not None:
                 result = replace(result, state=restarted)
                 continue
@@ -79,7 +80,7 @@ def search(
             stuck = False
         if added.state is None:
             break
-    if result.state.error > limits.large_error:
+    if result.state.error > limits.large_error and result.state is not tried:
         result = replace(result, state=restart_if_better(result.state, lines, settings) or result.state)
     return result
 
