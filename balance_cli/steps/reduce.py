@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run, hold_samples
@@ -141,13 +142,24 @@ def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord 
     all_trims, health = calibration.all_trims, record.health
 
     def solve(spectra: Harmonics, reference: ZeroRecord | None) -> MeanLoads:
-        if all_trims is not None and all_trims.model.is_nonlinear:
+        if all_trims is not None and _computes_means(all_trims, len(calibration.trims)):
             return nonlinear_mean_loads(spectra, calibration, all_trims.loads_model, health, reference)
         return linear_mean_loads(spectra, calibration, health, reference)
 
     if calibration.temperature is None:
         return solve(record.spectra, zero)
     return mean_loads_at_temperature(record, calibration.temperature, zero, solve)
+
+
+def _computes_means(all_trims: AllTrimsCalibration, trims: int) -> bool:
+    """Whether the model of all trims computes mean loads, not the matrices of the trims.
+
+    With random terms alone it does where there is one matrix and the schedule told every product: the matrix nearest in
+    load is closer than terms of which none is significant, and errors of products that nobody saw would widen sigma.
+    """
+    if all_trims.model.is_nonlinear:
+        return True
+    return all_trims.random_terms is not None and trims == 1 and all_trims.untested_products is None
 
 
 def _combine_loads(

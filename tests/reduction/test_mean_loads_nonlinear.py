@@ -132,6 +132,20 @@ def test_a_straight_model_leaves_the_nearest_trim_in_its_place():
     assert reduced(record("w", LOADS, curved=False), cal).trim in cal.trims
 
 
+def test_random_terms_compute_mean_loads_also_where_no_term_was_selected():
+    straight, curved = calibration(curved=False), calibration()
+    assert straight.all_trims.random_terms is None and not straight.all_trims.model.is_nonlinear
+    cal = replace(straight, all_trims=replace(straight.all_trims, random_terms=curved.all_trims.loads_model))
+    assert reduced(record("w", LOADS), cal, zero()).trim in cal.trims
+    cal = replace(cal, trims={"bare": straight.trims["bare"]})
+    found = reduced(record("w", LOADS), cal, zero())
+    assert found.trim == ALL_TRIMS
+    error = (found.amplitude[0].real - LOADS) / found.sigma_cosine[0]
+    assert np.abs(error).max() < 4.0
+    with pytest.raises(AssertionError):
+        np.testing.assert_allclose(reduced(record("w", LOADS), straight, zero()).amplitude[0].real, LOADS, atol=0.5)
+
+
 def test_loads_beyond_the_reach_of_the_proof_are_refused():
     with pytest.raises(UserError) as caught:
         reduced(record("w9", 1.6 * AMPLITUDE * [0, 0, 1, 0, 0, 0]), calibration(), zero())
