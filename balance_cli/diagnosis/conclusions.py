@@ -221,10 +221,9 @@ def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settin
 
 def describe_offsets(fit: Fit) -> list[str]:
     """Say that offsets of channels change no load: the zeros of bridges are everyday, and look like an effect."""
-    channels = [
-        place for effect in fit.model.effects if effect.effect.name == "channel-offset" for place in effect.where
-    ]
-    if not channels or fit.model.system(fit.theta).equations.has_nonlinear_terms:
+    offsets = [effect for effect in fit.model.effects if effect.effect.is_zero_reading]
+    if not offsets or fit.model.system(fit.theta).equations.has_nonlinear_terms:
         return []
     text = "no harmonic load depends on such zeros, and a zero run takes them out of the mean loads"
-    return [f"channel-offset of {', '.join(channels)}: {text}"]
+    places = ", ".join(place for effect in offsets for place in effect.where)
+    return [f"{offsets[0].effect.name} of {places}: {text}"]

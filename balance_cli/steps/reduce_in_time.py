@@ -17,6 +17,7 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run, excerpt_run, read_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.model.system import System
 from balance_cli.reduction.choices import FREE, HARMONICS, KALMAN, LOAD_MODELS, SMOOTHER
@@ -140,14 +141,15 @@ def reduce_run_in_time(
 ) -> TimeReduction:
     """Reduce one `check` or `wind` run by a Kalman filter or smoother; `sink` receives the history block by block.
 
-    Raises UserError where the source has no state space, the pulses or channels are unusable, or a gap is too long.
+    Raises UserError where the source has no state space, the pulses or channels are unusable, a gap is too long, or
+    no filter is steady.
     """
     options = options or TimeOptions()
     setup = _set_up_run(run, geometry, source, options)
     harmonic_result = reduce_record(_with_exact_means(setup.record), geometry, calibration, source, zero)
     recorder = LoadRecorder(_recorder_settings(setup, harmonic_result, options), sink)
     sums = InnovationSums(len(setup.data_quality.names))
-    for estimates in _run_filters(setup, _build_filters(setup, harmonic_result, options), options):
+    for estimates in _steady_estimates(setup, harmonic_result, options):
         recorder.add(estimates)
         if len(estimates.channels) == len(setup.data_quality.names):
             sums.add(estimates.innovations)
@@ -255,6 +257,19 @@ def _build_filters(setup: _RunSetup, harmonic_result: RunLoads, options: TimeOpt
     if options.load_model == FREE:
         layers = uninformative_loads(layers)
     return time_invariant_filters(system, layers, step_loads, segments)
+
+
+def _steady_estimates(setup: _RunSetup, harmonic_result: RunLoads, options: TimeOptions) -> Iterator[Estimates]:
+    """Yield the estimates of the filters. Raises UserError where the channels do not tell loads from noise."""
+    try:
+        yield from _run_filters(setup, _build_filters(setup, harmonic_result, options), options)
+    except np.linalg.LinAlgError as error:
+        raise UserError(
+            "no filter is steady: the channels do not tell the loads that were assumed from their noise",
+            str(setup.run.path or setup.run.name),
+            "channels",
+            "Reduce the run by harmonics, or record the channels with finer steps",
+        ) from error
 
 
 def _run_filters(setup: _RunSetup, filters: RunFilters, options: TimeOptions) -> Iterator[Estimates]:

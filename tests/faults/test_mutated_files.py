@@ -11,6 +11,9 @@ from studies.mutation.readers import READERS
 FILES = 6
 """Of each reader; `python -m studies.mutation` tries ten thousand."""
 
+ONCE_FAULTY = {"check run": (5,)}
+"""Seeds of files that had made a fault: channels in whole volts, to which no filter is steady."""
+
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="processes of POSIX")
 
 
@@ -22,6 +25,7 @@ def imported_program():
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("reader", READERS)
 def test_changed_files_are_read_or_refused(examples, tmp_path, reader):
-    outcomes = [try_file(reader, examples.folder, tmp_path / "work", seed) for seed in range(700, 700 + FILES)]
+    seeds = (*range(700, 700 + FILES), *ONCE_FAULTY.get(reader, ()))
+    outcomes = [try_file(reader, examples.folder, tmp_path / "work", seed) for seed in seeds]
     assert [outcome for outcome in outcomes if outcome.kind in FAULTS] == []
     assert any(outcome.kind == REFUSED for outcome in outcomes)

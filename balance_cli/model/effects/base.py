@@ -109,7 +109,8 @@ class Effect:
     - `choice`: each of its words makes a place of its own, as the last name of `where`.
     - `empirical`: the effect describes without explaining; it is tried only after all others.
     - `needs_mean`: it shows in the mean of a record, in the curvature of static rows or through channels as functions
-      of time. `needs_spin`: it shows only with the rotor turning.
+      of time. `needs_spin`: it shows only with the rotor turning. `is_zero_reading`: it is a reading without load, on
+      which nothing but the mean of a channel depends in a linear model.
     - `search`: how the diagnosis finds it.
     """
 
@@ -127,4 +128,5 @@ class Effect:
     empirical: bool = False
     needs_mean: bool = False
     needs_spin: bool = False
+    is_zero_reading: bool = False
     search: SearchHints = field(default_factory=SearchHints)

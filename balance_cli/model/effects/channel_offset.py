@@ -46,4 +46,5 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     needs_mean=True,
+    is_zero_reading=True,
 )
