@@ -20,16 +20,11 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import BatchDerivatives
-from balance_cli.signals.run_spectrum import NoisePart
+from balance_cli.estimation.noise_uncertainty import noise_uncertainty
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
-
-SCORES_AT_ONCE = 64
-"""Scores whose combinations of channels are compared at once: a few megabytes."""
-SHARE_DIGITS = 6
-"""Digits to which shares of parts are equal: lines of one load series differ by rounding."""
 
 
 @dataclass(frozen=True)
@@ -71,53 +66,9 @@ class RunInformation:
         if self.weighted is None:
             return np.full(len(tested), 2.0 / self.batch.runs[0].noise_dof)
         influence = self.weighted[:, :, tested] - self.weighted[:, :, fitted] @ projection
-        uncertainty = np.empty(len(tested))
-        for start in range(0, len(tested), SCORES_AT_ONCE):
-            own = slice(start, start + SCORES_AT_ONCE)
-            uncertainty[own] = _uncertainty_of_parts(parts, influence[:, :, own])
+        uncertainty = noise_uncertainty(parts, influence)
         # The combinations were chosen by an inverse of the same estimate, which costs it that share of its dof.
         return uncertainty / float(self.batch.lines.efficiency[self.batch.runs[0].lines].mean())
-
-
-def _uncertainty_of_parts(parts: Sequence[NoisePart], influence: ComplexArray) -> Array:
-    """Relative variance (n,) of the estimated variance of n scores with this `influence` (k, c, n) of the channels."""
-    power = np.array([_line_power(influence, part.shape) for part in parts])
-    size, share, error = (np.array([getattr(part, name) for part in parts]) for name in ("size", "share", "error"))
-    by_part = np.einsum("jk,jkn->jn", share, power)
-    total = np.maximum(size @ by_part, np.finfo(float).tiny)
-    relative = error[:, None] * by_part / total
-    return np.asarray(np.sum(relative**2 * _concentration(size[:, None, None] * power, share), axis=0))
-
-
-def _concentration(noise: Array, share: Array) -> Array:
-    """How many times larger (j, n) the variance of each part's estimate is, since few lines show it in these scores.
-
-    `noise` (j, k, n): of each of j parts, where its `share` (j, k) is one, in the combination of channels that a score
-    takes at each of k lines. A line l informs about a part in the combination of line k by the square of the part in
-    all noise of that combination at l. With these weights w, of sum one over l, and the part p = share * noise,
-
-        factor = K sum_l (sum_k p_k w_lk)^2 / (sum_k p_k)^2 :
-
-    one where all K lines of a part tell the same, and 6 where it is seen beside the noise of loads in a sixth of them.
-    """
-    tiny = np.finfo(float).tiny
-    patterns, lines = np.unique(share.round(SHARE_DIGITS), axis=1, return_counts=True)
-    total = np.maximum(np.einsum("jg,jkn->gkn", patterns, noise), tiny)
-    factors = []
-    for part, pattern, own_share in zip(noise, patterns, share, strict=True):
-        information = (pattern[:, None, None] * part / total) ** 2
-        weight = information / np.maximum(np.einsum("g,gkn->kn", lines, information), tiny)
-        own = own_share[:, None] * part
-        shown = np.einsum("kn,gkn->gn", own, weight)
-        count = np.sum(own_share) ** 2 / max(float(np.sum(own_share**2)), tiny)
-        factors.append(count * (lines @ shown**2) / np.maximum(own.sum(axis=0) ** 2, tiny))
-    return np.maximum(factors, 1.0)
-
-
-def _line_power(influence: ComplexArray, shape: Array) -> Array:
-    """g* shape g of an influence (k, c, n) at each line: (k, n)."""
-    shaped = np.matmul(shape, influence)
-    return np.asarray(np.sum(influence.real * shaped.real + influence.imag * shaped.imag, axis=1))
 
 
 def noise_dof(
