@@ -70,8 +70,8 @@ def read_history(path: Path) -> StoredHistory:
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         fault = f"is no sound `{HISTORY_FORMAT}` file ({error})"
         raise UserError(fault, str(path), remedy="Reduce the run again with --history") from error
-    if loads.shape != (len(time), len(COMPONENTS)) or sigma.shape != loads.shape:
-        fault = f"`loads` {loads.shape} and `sigma` {sigma.shape} do not fit {len(time)} times"
+    if time.ndim != 1 or loads.shape != (len(time), len(COMPONENTS)) or sigma.shape != loads.shape:
+        fault = f"`loads` {loads.shape} and `sigma` {sigma.shape} do not fit `time` {time.shape}"
         raise UserError(fault, str(path), remedy="Reduce the run again with --history")
     kept = [k for k in range(len(COMPONENTS)) if np.isfinite(loads[:, k]).any()]
     names = tuple(COMPONENTS[k] for k in kept)
