@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.weighted_least_squares import LoadEquations
+from balance_cli.reduction.weighted_least_squares import LoadEquations, residual_chi2
 
 Array = NDArray[np.float64]
 
 SENSOR_ERROR = 0.01
-"""Error of the response of a sensor, as a share, for which the loads are examined: what a gain, a mounting or a
-stiffness changes by between two campaigns. Below the error that is noticed, all changes are in proportion to it."""
+"""Error of the response of a sensor, as a share, for which the loads are examined: what a gain or a mounting
+changes by between two campaigns. Below the error that is noticed, all changes are in proportion to it."""
 NOTABLE_CHANGE = 0.1
 """Change of a load, as a share of it, from which it is said: one known to 10 % does not serve to compare rotors."""
 NOTABLE_SIGMAS = 2.0
@@ -69,19 +69,10 @@ def unnoticed_errors(equations: LoadEquations, sensors: Sequence[str], degrees: 
     tested = degrees > 0
     excess = np.where(tested, (np.where(tested, limit, 1.0) - 1.0) * degrees, np.inf)
     with np.errstate(divide="ignore"):
-        noticed = np.sqrt(excess[:, None] / _chi_square(equations, error))
+        noticed = np.sqrt(excess[:, None] / residual_chi2(equations.T, error.swapaxes(1, 2), equations.covariance))
     size = np.minimum(noticed, SENSOR_ERROR)[:, :, None] * np.hypot(change[..., :m], change[..., m:])
     worst = np.argmax(size, axis=1)
     return UnnoticedErrors(names, worst, np.take_along_axis(size, worst[:, None, :], axis=1)[:, 0])
-
-
-def _chi_square(equations: LoadEquations, error: Array) -> Array:
-    """Return by how much each error (h, s, a) of the readings raises the least chi-square (h, s)."""
-    T, columns = equations.T, np.swapaxes(error, 1, 2)
-    weighted = np.linalg.solve(equations.covariance, np.concatenate([T, columns], axis=2))
-    WT, Wb = weighted[:, :, : T.shape[2]], weighted[:, :, T.shape[2] :]
-    G = np.linalg.solve(np.swapaxes(T, 1, 2) @ WT, np.swapaxes(T, 1, 2) @ Wb)
-    return np.asarray(np.maximum(np.einsum("has,has->hs", columns - T @ G, Wb - WT @ G), 0.0))
 
 
 def join_harmonics(parts: Sequence[UnnoticedErrors | None]) -> UnnoticedErrors | None:

@@ -115,7 +115,7 @@ def solve_loads(
     response_error = response_covariance(loads)
     total = tested_noise + response_error
     covariance = noise_covariance + G @ response_error @ np.swapaxes(G, 1, 2)
-    chi2 = _residual_chi2(T, y, total)
+    chi2 = residual_chi2(T, y[:, :, None], total)[:, 0]
     share = np.trace(np.linalg.solve(total, tested_noise), axis1=1, axis2=2) / a
     degrees = np.full(len(T), float(a - b))
     bias, limit = _residual_test_limit(share, dof, a - b, few)
@@ -145,11 +145,11 @@ def _propagate(G: Array, covariance: Array) -> Array:
     return np.asarray(G @ covariance @ np.swapaxes(G, 1, 2))
 
 
-def _residual_chi2(T: Array, y: Array, total: Array) -> Array:
-    """Return the least chi-square (h,) that any loads leave, weighted by noise and response error together."""
+def residual_chi2(T: Array, readings: Array, total: Array) -> Array:
+    """Return the least chi-square (h, s) that any loads leave of s readings (h, a, s), by their covariance `total`."""
     G, _ = _weighted_inverse(T, total)
-    residual = y - np.einsum("hab,hb->ha", T, np.einsum("hba,ha->hb", G, y))
-    return np.asarray(np.einsum("ha,ha->h", residual, np.linalg.solve(total, residual[:, :, None])[:, :, 0]))
+    residual = readings - T @ (G @ readings)
+    return np.asarray(np.einsum("has,has->hs", residual, np.linalg.solve(total, residual)))
 
 
 def _estimated_weights_factor(dof: Array, degrees: int) -> Array:
