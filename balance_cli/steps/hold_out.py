@@ -39,17 +39,8 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     """
     require_known_loads(run)
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
-    (old, _), (new, noise) = errors(run, before), errors(run, after)
-    return HoldOut(old, new, noise, OTHER_EXCITERS if run.kind == "check" and _has_other_exciters(run, after) else None)
-
-
-def _has_other_exciters(run: Run, model: IdentifiedModel) -> bool:
-    """Whether a check run is described better without the masses of the exciters of the sweeps."""
-    if not np.any(identified_system(model).equations.exciter_mass.value):
-        return False
-    record = rotor_record(run, model.geometry, model_source(model))
-    with_masses, chosen = _load_matrices(record, model, attached=True), record_load_matrices(record, model)
-    return not np.array_equal(with_masses, chosen)
+    (old, _, _), (new, noise, set_up) = errors(run, before), errors(run, after)
+    return HoldOut(old, new, noise, set_up)
 
 
 def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -79,15 +70,18 @@ def require_known_loads(run: Run) -> None:
         raise UserError("has no `loads` to compare with", place, "loads", "Hold out a run whose loads were measured")
 
 
-def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
-    """Errors of a check run and their noise floor, at the harmonics from 1 on, which need no calibration."""
+def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, str | None]:
+    """Errors of a check run and their noise floor, at the harmonics from 1 on, which need no calibration; its set-up.
+
+    The set-up is None where it is that of the sweeps.
+    """
     source, geometry = model_source(model), model.geometry
     record = rotor_record(run, geometry, source)
-    matrices = record_load_matrices(record, model)
+    matrices, set_up = _choose_load_matrices(record, model)
     loads = check_errors(
         record.spectra, harmonic_loads(record, geometry, source), record.components, geometry, matrices
     )
-    return _run_errors(loads, *_harmonic_errors(record, model, source, matrices))
+    return (*_run_errors(loads, *_harmonic_errors(record, model, source, matrices)), set_up)
 
 
 def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> ComplexArray:
@@ -96,12 +90,17 @@ def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> Complex
     Masses beyond the force cells are those of the exciters of the sweeps, with which a check run may have been made or
     not: of the two the one that describes its channels better.
     """
+    return _choose_load_matrices(record, model)[0]
+
+
+def _choose_load_matrices(record: RotorRecord, model: IdentifiedModel) -> tuple[ComplexArray, str | None]:
+    """The same, and OTHER_EXCITERS where they are those without the masses."""
     attached = _load_matrices(record, model, attached=True)
     if not np.any(identified_system(model).equations.exciter_mass.value):
-        return attached
-    source = model_source(model)
-    choices = (attached, _load_matrices(record, model, attached=False))
-    return min(choices, key=lambda matrices: _harmonic_errors(record, model, source, matrices)[0])
+        return attached, None
+    source, without = model_source(model), _load_matrices(record, model, attached=False)
+    error, error_without = (_harmonic_errors(record, model, source, each)[0] for each in (attached, without))
+    return (without, OTHER_EXCITERS) if error_without < error else (attached, None)
 
 
 def _load_matrices(record: RotorRecord, model: IdentifiedModel, attached: bool) -> ComplexArray:
@@ -142,7 +141,7 @@ def _harmonic_errors(
     return float(error / size), float(noise / size)
 
 
-def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
+def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, None]:
     """Relative error of the response of a sweep, as in the quality of a fit, and its noise floor.
 
     The contribution of nonlinear forces is removed from the record first. In a record that does not repeat it would
@@ -152,8 +151,8 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     try:
         run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     except np.linalg.LinAlgError:
-        return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0)
+        return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0), None
     spectra = measured_spectra([run], model.geometry, means=False)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]
-    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor)
+    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor), None
