@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal
 
 from balance_cli.api.inputs import RunLike, to_runs
+from balance_cli.calibration.load_method import choose_load_method
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run
@@ -53,6 +54,7 @@ def reduce(
     method: Literal["harmonic", "kalman", "smoother"] = "harmonic",
     load_model: str = "harmonics",
     lag: float = 0.05,
+    mean_loads: Literal["iterative", "non-iterative"] | None = None,
 ) -> HubLoads:
     """Reduce check and wind runs to hub loads at the rotor harmonics, as `balance reduce` does.
 
@@ -61,6 +63,7 @@ def reduce(
     `response` is an identified model, measured responses, or `"static"` for the static matrix at every harmonic (no
     dynamics removed). A `zero` run among `runs`, or given, is subtracted from the mean loads. `interpolation` is for
     measured responses; `load_model` and `lag` [s] are for the methods in time, which need a model of the physical form.
+    `mean_loads` chooses the method of mean loads; by default it is the non-iterative one where the calibration has it.
     What the runs contradict of each other, of calibration, response or geometry stands in `warnings` of the result, and
     flags the loads that it makes doubtful; sweeps and static runs among `runs` are compared only.
     Raises UserError where no run is a check or wind run, where calibration and response come from different
@@ -77,6 +80,7 @@ def reduce(
     2833 N
     """
     geometry = calibration.geometry if calibration is not None else _geometry_of(response)
+    calibration = None if calibration is None else choose_load_method(calibration, mean_loads, "mean_loads")
     records = to_runs(runs, geometry)
     zeros = to_runs(zero, geometry) if zero is not None else [run for run in records if run.kind == "zero"]
     source = response_source(calibration, response, interpolation)

@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.load_method import NON_ITERATIVE, iteration_name
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.load_components import FullScale, full_scale
 
 Array = NDArray[np.float64]
-
-ITERATIVE, LINEAR, NON_ITERATIVE = "iteration with the calibration model", "linear model", "non-iterative method"
-RANDOM_TERMS = "iteration with random nonlinear terms"
 
 
 @dataclass(frozen=True)
@@ -95,9 +93,7 @@ def _computed_loads(all_trims: AllTrimsCalibration, change: Array) -> tuple[Arra
         return all_trims.non_iterative.loads(change), NON_ITERATIVE
     loads, _ = all_trims.loads_model.loads(change)
     finite = np.isfinite(loads).all(axis=1, keepdims=True)
-    if all_trims.random_terms is not None:
-        return np.where(finite, loads, np.nan), RANDOM_TERMS
-    return np.where(finite, loads, np.nan), ITERATIVE if all_trims.model.is_nonlinear else LINEAR
+    return np.where(finite, loads, np.nan), iteration_name(all_trims)
 
 
 def _readings_less_zero(all_trims: AllTrimsCalibration, used: NDArray[np.bool_]) -> Array:

@@ -47,23 +47,23 @@ class NonIterativeModel:
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
         return np.asarray(term_values(self.model.parsed_terms, y) @ self.model.coefficients * self.calibrated_range)
 
-    def load_variance(self, change: ArrayLike, reading_covariance: Array, row_noise: Array) -> Array:
-        """Variance (k,) [N2, (N m)2] of the loads for a mean reading (c,) [V] less its zero, of covariance (c, c) [V2].
+    def load_covariance(self, change: ArrayLike, reading_covariance: Array, row_noise: Array) -> Array:
+        """Covariance (k, k) [N2, N2 m, (N m)2] of the loads for a reading (c,) [V] less its zero.
 
-        Of the errors of rows that the others predict, only what exceeds the noise of a row, `row_noise` (c, c) [V2],
-        remains in a mean.
-        Widened for the degrees of freedom of the residuals.
+        `reading_covariance` (c, c) [V2] is that of the reading. Of the errors of rows that the others predict, what
+        exceeds the noise of a row, `row_noise` (c, c) [V2], comes beside it. Widened for the degrees of freedom of the
+        residuals.
         """
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
         J = np.einsum("mpk,pl->mlk", term_derivatives(self.model.parsed_terms, y), self.model.coefficients)[0]
         transfer = J @ self.inverse
-        reading = np.diag(transfer @ reading_covariance @ transfer.T)
+        reading = transfer @ reading_covariance @ transfer.T
         noise = np.diag(self.inverse @ row_noise @ self.inverse.T)
         predicted_errors = self.model.press_ratio**2 * np.diag(self.model.residual_covariance)
-        misfit = np.maximum(predicted_errors - noise, 0.0)
-        coefficients = np.diag(self.model.model_covariance(y)[0])
+        misfit = np.diag(np.maximum(predicted_errors - noise, 0.0))
         widening = student_widening(float(self.model.dof.min()))
-        return np.asarray((reading + widening * (misfit + coefficients)) * self.calibrated_range**2)
+        total = reading + widening * (misfit + self.model.model_covariance(y)[0])
+        return np.asarray(total * np.outer(self.calibrated_range, self.calibrated_range))
 
     def prediction_interval(self, change: ArrayLike, zero_covariance: Array) -> Array:
         """Half-width (m, k) [N, N m] of the prediction interval at the level CONFIDENCE.

@@ -12,6 +12,7 @@ from balance_cli.cli.options import InputFile
 from balance_cli.cli.static_runs import moment_center_option, open_table, table_reading, units_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT
+from balance_cli.reduction.choices import MEAN_LOAD_METHODS, NON_ITERATIVE
 
 if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
@@ -33,10 +34,9 @@ FIRST_ROW = "first"
 )
 @click.option(
     "--method",
-    type=click.Choice(["iterative", "non-iterative"]),
-    default="iterative",
-    show_default=True,
-    help="Loads by iteration with the calibration model, or directly by the model of `calibrate --non-iterative`.",
+    type=click.Choice(MEAN_LOAD_METHODS),
+    help="Loads by iteration with the calibration model, or directly by the model of `calibrate --non-iterative`.  "
+    "[default: non-iterative where the calibration has that model]",
 )
 @click.option(
     "--load-units",
@@ -52,7 +52,7 @@ def command(
     calibration: Path,
     tables: tuple[Path, ...],
     zero: str | None,
-    method: str,
+    method: str | None,
     load_units: str | None,
     units: str | None,
     moment_center: tuple[float, float, float] | None,
@@ -63,6 +63,7 @@ def command(
     CAL is a calibration. A table has a column with its unit for each channel; loads, where it has them, are compared.
     Every load has a standard deviation. Rows outside the calibrated loads are flagged, not left out.
     """
+    from balance_cli.calibration.load_method import choose_load_method
     from balance_cli.calibration.result import Calibration
     from balance_cli.cli.apply_output import apply_summary, apply_text, loads_csv, output_units
     from balance_cli.cli.scale_text import scale_evidence_of, scale_text
@@ -73,14 +74,14 @@ def command(
     if output.suffix.lower() != ".csv":
         raise UserError("loads of a point table are written as .csv", str(output), remedy="Give it this suffix")
     artefact = session.artefact(calibration, {CALIBRATION_FORMAT: Calibration}, "calibration")
-    result, reading = artefact.content, table_reading(units, moment_center)
+    result, reading = choose_load_method(artefact.content, method, "--method"), table_reading(units, moment_center)
     opened = [_open(session, path, result, reading) for path in tables]
     unloaded = None
     if zero not in (None, FIRST_ROW):
         assert zero is not None
         unloaded = zero_reading(_open(session, Path(zero), result, reading, "zero"))
     readings = [point_readings(table, result, zero == FIRST_ROW) for table in opened]
-    loads = [point_loads_at_temperature(rows, result, unloaded, method == "non-iterative") for rows in readings]
+    loads = [point_loads_at_temperature(rows, result, unloaded, method == NON_ITERATIVE) for rows in readings]
     if moment_center is not None:
         loads = [move_moment_center(run, result.geometry, moment_center) for run in loads]
     columns = output_units(result, opened, load_units)

@@ -17,7 +17,14 @@ from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, r
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.cli.reduce_spectra import check_band_options, reduce_to_spectra
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.choices import FREQUENCIES, INTERPOLATIONS, LOAD_MODELS, METHODS, MOST_HARMONICS
+from balance_cli.reduction.choices import (
+    FREQUENCIES,
+    INTERPOLATIONS,
+    LOAD_MODELS,
+    MEAN_LOAD_METHODS,
+    METHODS,
+    MOST_HARMONICS,
+)
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -97,6 +104,12 @@ if TYPE_CHECKING:
     metavar="LO HI",
     help="Spectral densities of the loads within this band [Hz], in place of rotor harmonics.",
 )
+@click.option(
+    "--mean-loads",
+    type=click.Choice(MEAN_LOAD_METHODS),
+    help="Mean loads of a nonlinear calibration by iteration, or directly by the model of `calibrate --non-iterative`. "
+    " [default: non-iterative where the calibration has that model]",
+)
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record, the zero of the mean loads.")
 @click.option("--history", type=OutputFolder(), metavar="DIR", help="Also write load histories RUN.h5 to this folder.")
 @click.argument("runs", type=InputFile(readable=False), nargs=-1, required=True, metavar="RUN...")
@@ -116,6 +129,7 @@ def command(
     rotor: int,
     frequencies: tuple[float, ...],
     band: tuple[float, float] | None,
+    mean_loads: str | None,
     zero: Path | None,
     history: Path | None,
     runs: tuple[Path, ...],
@@ -144,7 +158,7 @@ def command(
     )
     method_options.check(model is not None, history is not None, harmonics is not None)
     check_band_options(band, _is_given)
-    cal = read_calibration(session, calibration)
+    cal = read_calibration(session, calibration, mean_loads)
     geometry, source, usual_noise = read_response(session, cal, model, transfer, interpolation)
     method_options.check_source(source, model)
     if band is not None:

@@ -34,14 +34,19 @@ def parse_frequencies(context: click.Context, parameter: click.Parameter, value:
     return tuple(frequencies)
 
 
-def read_calibration(session: Session, path: Path | None) -> Calibration | None:
-    """Read the static calibration, if one is given."""
+def read_calibration(session: Session, path: Path | None, mean_loads: str | None = None) -> Calibration | None:
+    """Read the static calibration, if one is given, with the method that computes `mean_loads` (None: its default)."""
+    from balance_cli.calibration.load_method import choose_load_method
     from balance_cli.calibration.result import Calibration
 
     if path is None:
+        if mean_loads is not None:
+            raise UserError(
+                "needs a static calibration", "--mean-loads", remedy="Add --calibration CAL, or leave it out"
+            )
         return None
     calibration: Calibration = session.artefact(path, {"balance-calibration/1": Calibration}, "calibration").content
-    return calibration
+    return choose_load_method(calibration, mean_loads, "--mean-loads")
 
 
 def read_response(

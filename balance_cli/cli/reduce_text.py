@@ -35,6 +35,7 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "channels_left_out": run.left_out,
         "interval_s": run.interval,
         "trim": run.trim,
+        "mean_load_method": run.mean_method,
         "flags": run.flag_counts,
         "verdict": verdict.word,
         "reasons": verdict.reasons,
@@ -89,6 +90,8 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
         if run.check is not None:
             yield f"   error of the applied loads: {_percent(run.check.load_error)}"
             yield f"   interaction in the other loads: {_percent(run.check.interaction)}"
+        if run.mean_method:
+            yield f"   mean loads: {run.mean_loads_by}"
         for note in run.notes:
             yield f"   {note}"
         if run.unnoticed_note:

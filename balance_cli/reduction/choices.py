@@ -20,6 +20,10 @@ LOAD_MODEL_TEXTS = {
 INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
 """How a measured response is interpolated; the first is the default (`signals.response.interpolation` has them)."""
 
+ITERATIVE, NON_ITERATIVE = "iterative", "non-iterative"
+MEAN_LOAD_METHODS = (ITERATIVE, NON_ITERATIVE)
+"""How mean and static loads are computed where a calibration has both models (`calibration.load_method` chooses)."""
+
 TABLE_SUFFIXES = (".csv", ".h5")
 """File names of a table of loads end so."""
 MOST_HARMONICS = 64

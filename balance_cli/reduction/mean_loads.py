@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.load_method import MATRIX
 from balance_cli.calibration.math_model import student_widening, zero_scatter
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
@@ -59,7 +60,7 @@ class MeanLoads:
 
     `trim`: label of the trim whose matrix was used. `flags` (m,): flags of each component, joined by `; `.
     `redundancy`: chi-square per degree of freedom of the residual test, with its limit; `condition` of the matrix.
-    `note`: what the flags do not say, in words; empty where there is nothing.
+    `method`: the model that computed them, in words. `note`: what the flags do not say; empty where there is nothing.
     """
 
     components: tuple[str, ...]
@@ -71,12 +72,13 @@ class MeanLoads:
     redundancy_limit: float
     condition: float
     note: str = ""
+    method: str = MATRIX
 
 
 def unmeasured_mean_loads(components: tuple[str, ...]) -> MeanLoads:
     """Return mean loads that no static calibration measures: NaN, each with the flag NOT_MEASURED."""
     unknown, flags = np.full(len(components), np.nan), (NOT_MEASURED,) * len(components)
-    return MeanLoads(components, unknown, unknown, "", flags, float("nan"), float("nan"), float("nan"))
+    return MeanLoads(components, unknown, unknown, "", flags, float("nan"), float("nan"), float("nan"), method="")
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import Contraction
+from balance_cli.calibration.load_method import NON_ITERATIVE, iteration_name
 from balance_cli.calibration.math_model import CalibrationModel, student_widening
 from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.result import Calibration
@@ -83,11 +84,16 @@ def nonlinear_mean_loads(
     if not _loads_determined(model, rows):
         raise undetermined_loads_error(health, spectra.run)
     left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
-    loads = _solve_loads(_UsableChannels(model, rows, spectra.run, left_out), reading.change)
     direct = None if all_trims is None or len(rows) < len(model.channel_names) else all_trims.non_iterative
     if direct is not None:
-        loads = direct.loads(reading.change)
-    return _describe_loads(calibration, model, reading, loads, (direct, zero))
+        return _describe_loads(calibration, model, reading, direct.loads(reading.change), (direct, zero))
+    loads = _solve_loads(_UsableChannels(model, rows, spectra.run, left_out), reading.change)
+    result = _describe_loads(calibration, model, reading, loads, (None, zero))
+    if all_trims is None or all_trims.non_iterative is None:
+        return result
+    absent = [name for i, name in enumerate(model.channel_names) if i not in reading.rows]
+    note = f"mean loads by iteration: the non-iterative method needs {', '.join(absent)}"
+    return replace(result, note="; ".join(filter(None, [result.note, note])))
 
 
 def _describe_loads(
@@ -123,6 +129,7 @@ def _describe_loads(
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
+        method=iteration_name(all_trims) if direct is None else NON_ITERATIVE,
         note="" if untested is None or not outside else describe_untested(untested, loads[0], outside),
     )
     return flag_extrapolated(mean_loads, (*model.extrapolated_components(loads[0]), *outside))
@@ -137,7 +144,7 @@ def _non_iterative_variance(direct: NonIterativeModel, calibration: Calibration,
     assert calibration.all_trims is not None
     model = calibration.all_trims.loads_model
     row_noise = (1.0 - _misfit_share(calibration, model)) * model.residual_covariance
-    return direct.load_variance(reading.change, reading.covariance, row_noise)
+    return np.diag(direct.load_covariance(reading.change, reading.covariance, row_noise))
 
 
 def _loads_determined(model: CalibrationModel, rows: Index) -> bool:

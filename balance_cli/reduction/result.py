@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.load_method import MATRIX
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.reduction.flags import FLAGS, SEPARATOR
@@ -92,7 +93,8 @@ class RunLoads(ResultView):
     freedom of the residual test), redundancy_limit, condition (n+1,), NaN where they do not exist; interval [s] that
     was used; `in_time`: of a reduction by a filter or smoother; `rotor`: the number of the rotor whose harmonics they
     are, None for the first; `conditions`: None in artefacts of former versions; `unnoticed`: what the residual test
-    does not show of errors of the sensors at harmonics 1 to n, None where there is no such test of sensors.
+    does not show of errors of the sensors at harmonics 1 to n, None where there is no such test. `mean_method`: what
+    computed harmonic 0, in words; None where it was not measured, and in artefacts of former versions.
     """
 
     run: str
@@ -116,12 +118,20 @@ class RunLoads(ResultView):
     rotor: int | None = field(default=None, metadata={"omit_if_none": True})
     conditions: RunConditions | None = field(default=None, metadata={"omit_if_none": True})
     unnoticed: UnnoticedErrors | None = field(default=None, metadata={"omit_if_none": True})
+    mean_method: str | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def flag_counts(self) -> dict[str, int]:
         """Number of rows with each flag, in the order of `flags.FLAGS`."""
         counts = Counter(word for row in self.flags for words in row for word in words.split(SEPARATOR) if word)
         return {flag: counts[flag] for flag in FLAGS if counts[flag]}
+
+    @property
+    def mean_loads_by(self) -> str:
+        """What computed harmonic 0, in words; empty where that is not known."""
+        if not self.mean_method:
+            return f"trim \u201c{self.trim}\u201d" if self.trim else ""
+        return f"{self.mean_method} {self.trim}" if self.mean_method == MATRIX else self.mean_method
 
     @property
     def unnoticed_note(self) -> str:

@@ -141,7 +141,7 @@ def _load_tables(loads: HubLoads) -> Iterator[Table]:
     head = (TableCell(""), *(TableCell(f"{name} [{UNIT_OF[name]}]") for name in names))
     mean_rows: list[Row] = [_mean_load_row(run, names) for run in runs]
     yield Table(
-        "Mean loads (harmonic 0) with sigma, by the static calibration of the named trim.", (head,), tuple(mean_rows)
+        "Mean loads (harmonic 0) with sigma, by the named model of the static calibration.", (head,), tuple(mean_rows)
     )
     rows: list[Row] = []
     for run in runs:
@@ -160,7 +160,7 @@ def _interval_text(run: RunLoads) -> str:
 
 
 def _mean_load_row(run: RunLoads, names: Sequence[str]) -> Row:
-    cells = [TableCell(run.run, f"trim \u201c{run.trim}\u201d" if run.trim else "", "name")]
+    cells = [TableCell(run.run, run.mean_loads_by, "name")]
     for name in names:
         if name not in run.components:
             cells.append(TableCell(""))

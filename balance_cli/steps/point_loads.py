@@ -18,6 +18,7 @@ from balance_cli.calibration.math_model import (
     student_widening,
     zero_scatter,
 )
+from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.trim_model import model_of_trim
 from balance_cli.calibration.untested_products import (
@@ -85,7 +86,9 @@ class _Model:
 def point_loads(
     readings: PointReadings, calibration: Calibration, zero: ZeroReading | None = None, non_iterative: bool = False
 ) -> PointLoads:
-    """Compute the loads of each row, relative to the unloaded balance.
+    """Compute the loads of each row, relative to the unloaded balance, by the non-iterative model where there is one.
+
+    With `non_iterative` it is required, and all channels with it.
 
     The zero is that of the rows marked as such, of their own group or of all groups; without any it is `zero`, and
     without that the mean zero of the calibration (flag `no zero`). Rows outside the calibrated loads are flagged.
@@ -94,17 +97,16 @@ def point_loads(
     """
     model = _usable_model(readings, calibration)
     change, subtracted = change_from_zero(readings, model.model, model.rows, model.level, zero)
-    loads, converged, method = _solve(model, change, non_iterative)
+    direct = _non_iterative_model(model, non_iterative)
+    loads, converged, method = _solve(model, change, direct)
     safe = np.where(converged[:, None], loads, 0.0)
     noise = _reading_covariances(readings, model, subtracted)
-    covariance = np.stack(
-        [model.model.load_covariance(row, own, model.rows)[0] for row, own in zip(safe, noise, strict=True)]
-    )
+    covariance = _load_covariances(model, direct, change, safe, noise)
     covariance, untested_names = _add_untested_products(model, safe, covariance)
     redundancy, limit = _redundancy(model, change, safe, noise)
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
-    # Estimated with few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce` do.
-    covariance *= student_widening(float(model.model.dof[model.rows].min())) * model.model.weight_widening(model.rows)
+    if direct is None:
+        covariance *= _widening(model) * model.model.weight_widening(model.rows)
     quantile = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)
     unknown = ~converged
     loads[unknown], covariance[unknown] = np.nan, np.nan
@@ -169,14 +171,41 @@ def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[f
 # ---- loads -----------------------------------------------------------------------------------------------------------
 
 
-def _solve(usable: _Model, change: Array, non_iterative: bool) -> tuple[Array, NDArray[np.bool_], str]:
+def _non_iterative_model(usable: _Model, required: bool) -> NonIterativeModel | None:
+    """The non-iterative model, if there is one for all the channels; raises UserError where it is required."""
+    all_trims = usable.calibration.all_trims
+    direct = None if all_trims is None else all_trims.non_iterative
+    if direct is not None and len(usable.rows) == len(usable.model.channel_names):
+        return direct
+    if required:
+        fault = "the calibration has no non-iterative model" if direct is None else "a channel is absent"
+        raise UserError(fault, "--method", remedy="Calibrate with --non-iterative, or use the iteration")
+    return None
+
+
+def _load_covariances(
+    usable: _Model, direct: NonIterativeModel | None, change: Array, loads: Array, noise: Array
+) -> Array:
+    """Covariance (n, k, k) of the loads by the errors of readings (n, c, c) and coefficients.
+
+    Those of the non-iterative method are widened for the degrees of freedom, as its coefficients have their own.
+    """
+    model, rows = usable.model, usable.rows
+    if direct is not None:
+        pairs = zip(change, _widening(usable) * noise, strict=True)
+        return np.stack([direct.load_covariance(row, own, usable.noise) for row, own in pairs])
+    return np.stack([model.load_covariance(row, own, rows)[0] for row, own in zip(loads, noise, strict=True)])
+
+
+def _widening(usable: _Model) -> float:
+    """Factor on variances of few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce`."""
+    return student_widening(float(usable.model.dof[usable.rows].min()))
+
+
+def _solve(usable: _Model, change: Array, direct: NonIterativeModel | None) -> tuple[Array, NDArray[np.bool_], str]:
     """Loads (n, k), which of them the method found, and the method in words."""
     model, rows, all_trims = usable.model, usable.rows, usable.calibration.all_trims
-    if non_iterative:
-        direct = None if all_trims is None else all_trims.non_iterative
-        if direct is None or len(rows) < len(model.channel_names):
-            fault = "the calibration has no non-iterative model" if direct is None else "a channel is absent"
-            raise UserError(fault, "--method", remedy="Calibrate with --non-iterative, or use the iteration")
+    if direct is not None:
         loads = direct.loads(change)
         return loads, np.asarray(np.isfinite(loads).all(axis=1)), "non-iterative"
     loads, _ = model.loads(change, rows)

@@ -154,10 +154,11 @@ def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord 
 def _computes_means(all_trims: AllTrimsCalibration, trims: int) -> bool:
     """Whether the model of all trims computes mean loads, not the matrices of the trims.
 
-    With random terms alone it does where there is one matrix and the schedule told every product: the matrix nearest in
-    load is closer than terms of which none is significant, and errors of products that nobody saw would widen sigma.
+    The non-iterative method does where the calibration has it. With random terms alone it does where there is one
+    matrix and the schedule told every product: that nearest in load is closer than terms of which none is significant,
+    and errors of products that nobody saw would widen sigma.
     """
-    if all_trims.model.is_nonlinear:
+    if all_trims.model.is_nonlinear or all_trims.non_iterative is not None:
         return True
     return all_trims.random_terms is not None and trims == 1 and all_trims.untested_products is None
 
@@ -192,6 +193,7 @@ def _combine_loads(
         interval=spectra.interval,
         rotor=None if record.rotor == 1 else record.rotor,
         conditions=_conditions(record.run),
+        mean_method=mean_solution.method or None,
         unnoticed=_unnoticed_errors(record, geometry, source, harmonic_solution),
     )
 

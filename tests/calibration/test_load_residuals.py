@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.calibration.load_residuals import LINEAR, NON_ITERATIVE, load_residuals
+from balance_cli.calibration.load_method import LINEAR, NON_ITERATIVE
+from balance_cli.calibration.load_residuals import load_residuals
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.geometry_file import geometry_from_dict

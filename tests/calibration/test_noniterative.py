@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.load_method import choose_load_method
 from balance_cli.calibration.noniterative import fit_noniterative_model
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run_file import write_run
@@ -77,6 +78,45 @@ def test_reduce_takes_mean_loads_from_it_where_all_channels_are_there():
     iterated = reduce_run(record("w", LOADS), RIG, calibration(), static_source(calibration()), zero).amplitude[0].real
     error = np.abs(found - LOADS) / np.abs(FULL_RANGE)
     assert np.all(error < 1e-3) and np.max(np.abs(found - iterated)) > 1e-9
+    again = choose_load_method(cal, "iterative", "--mean-loads")
+    by_choice = reduce_run(record("w", LOADS), RIG, again, static_source(again), zero)
+    np.testing.assert_array_equal(by_choice.amplitude[0].real, iterated)
+    assert by_choice.mean_loads_by == "iteration with the calibration model"
+
+
+def test_reduce_says_which_model_gave_the_mean_loads(tmp_path):
+    for run in (*static_runs(np.random.default_rng(1)), record("w", LOADS)):
+        write_run(tmp_path / f"{run.name}.h5", run)
+    static = [str(tmp_path / f"{run.name}.h5") for run in static_runs(np.random.default_rng(1))]
+    cal, direct = str(tmp_path / "c.h5"), str(tmp_path / "d.h5")
+    words = ["calibrate", "-q", "-g", str(CONFIGS / "rts-6.yaml"), *static]
+    assert CliRunner().invoke(balance, [*words, "-o", cal]).exit_code == 0
+    assert CliRunner().invoke(balance, [*words, "--non-iterative", "-o", direct]).exit_code == 0
+    means = {}
+    calls = {"default": (direct, ()), "iterative": (direct, ("--mean-loads", "iterative")), "only": (cal, ())}
+    for name, (path, extra) in calls.items():
+        call = ["reduce", "--static", "--calibration", path, str(tmp_path / "w.h5"), *extra]
+        result = CliRunner().invoke(balance, [*call, "--json", str(tmp_path / "s.json"), "-o", str(tmp_path / "l.csv")])
+        assert result.exit_code == 0
+        means[name] = json.loads((tmp_path / "s.json").read_text())["runs"]["w"]["mean_load_method"]
+        assert f"mean loads: {means[name]}" in result.stdout
+    assert means == {
+        "default": "non-iterative method",
+        "iterative": "iteration with the calibration model",
+        "only": "iteration with the calibration model",
+    }
+    call = ["reduce", "--static", "--calibration", cal, str(tmp_path / "w.h5"), "--mean-loads", "non-iterative"]
+    refused = CliRunner().invoke(balance, [*call, "-o", str(tmp_path / "n.csv")])
+    assert refused.exit_code == 2 and "--mean-loads" in refused.stderr and "no non-iterative model" in refused.stderr
+
+
+def test_without_a_channel_the_iteration_gives_the_loads_and_a_note_says_so():
+    cal = calibrate(static_runs(np.random.default_rng(1)), RIG, non_iterative=True)
+    run, redundant = record("w", LOADS), next(name for name in NAMES if name.startswith("z4"))
+    lost = replace(run, channel_names=tuple("lost" if name == redundant else name for name in run.channel_names))
+    loads = reduce_run(lost, RIG, cal, static_source(cal))
+    assert loads.mean_loads_by == "iteration with the calibration model"
+    assert any(f"the non-iterative method needs {redundant}" in note for note in loads.notes)
 
 
 def test_command_states_it_and_refuses_it_for_a_matrix(tmp_path):
