@@ -71,7 +71,8 @@ def calibrate(
         raise UserError("there is no static run among the runs", remedy="Give the static runs of the calibration")
     for run in static:
         if not run.has_loads:
-            raise UserError("a static run without loads", run_place(run), "loads", "Record the applied loads")
+            remedy = "Record the applied loads. In a table they are columns such as `Fx [N]` or `applied Fx [N]`"
+            raise UserError("a static run without loads", run_place(run), "loads", remedy)
     components = load_components(geometry)
     _check_attitudes(static, components)
 

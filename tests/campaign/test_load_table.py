@@ -35,6 +35,7 @@ def read(tmp_path: Path, text: str, reading: TableReading | None = None, **keys)
         "Fx,My,B1,B2\nlbf,in-lbf,mV/V,mV/V",
         "Effort Fx (lbf),Moment My (in-lbf),B1 (mV/V),B2 (mV/V)",
         "applied_Fx [lbf],My_load [in-lbf],B1 (mV/V),B2 (mV/V)",
+        "known_Fx [lbf],Known_My [in-lbf],B1 (mV/V),B2 (mV/V)",
     ],
 )
 def test_units_are_converted(tmp_path: Path, head: str) -> None:
@@ -144,3 +145,27 @@ def test_loads_of_nines_far_from_all_others_are_missing(tmp_path: Path, filler: 
     steps = "\n".join(f"{fx},0,1,2" for fx in (0, 333, 666, 999))
     table = read(tmp_path, f"Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n{steps}\n", TableReading(allow_missing=True))
     assert table.hub_loads[3, 0] == 999.0
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Fx,My,known_Fx,Known_My",
+        "Fx,My,Fx [N],My [N m]",
+        "Fx [mV/V],My [mV/V],true Fx [N],true My [N m]",
+    ],
+)
+def test_a_channel_with_the_name_of_a_load_is_not_read_as_that_load(tmp_path: Path, head: str) -> None:
+    """A column that was both would calibrate itself: residual zero, and loads equal to the readings."""
+    reading = TableReading(tuple(map(parse_unit, ("N", "N m", "mV/V"))))
+    names = [{"name": "Fx", "unit": "mV/V"}, {"name": "My", "unit": "mV/V"}]
+    table = read(tmp_path, f"{head}\n0.1,0.2,0,0\n1.1,0.3,10,-5\n", reading, channels=names)
+    assert table.channels == pytest.approx(np.array([[1e-4, 2e-4], [1.1e-3, 3e-4]]))
+    assert table.hub_loads is not None
+    assert table.hub_loads[1] == pytest.approx([10, 0, 0, 0, -5, 0])
+
+
+def test_readings_with_the_names_of_loads_are_no_loads(tmp_path: Path) -> None:
+    reading = TableReading((parse_unit("mV/V"),))
+    names = [{"name": "Fx", "unit": "mV/V"}, {"name": "My", "unit": "mV/V"}]
+    assert read(tmp_path, "Fx,My\n0.1,0.2\n", reading, channels=names).hub_loads is None

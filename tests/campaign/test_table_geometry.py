@@ -108,3 +108,10 @@ def test_check_says_what_a_table_is(tmp_path):
     call("calibrate", good, "-o", tmp_path / "a.h5")
     call("apply", tmp_path / "a.h5", good, "-o", tmp_path / "l.csv", "--zero", "first")
     assert "made by `balance apply`" in call("check", tmp_path / "l.csv")
+
+
+def test_a_head_with_readings_named_by_the_loads_needs_no_geometry(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("Fx [mV/V],My [mV/V],applied Fx [N],applied My [N m]\n0.1,0.2,0,0\n1.1,0.3,10,-5\n")
+    head = read_table_head(path)
+    assert (head.hub_loads, head.channels) == (("Fx", "My"), {"Fx": "V/V", "My": "V/V"})

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.additions_file import WIDE_RANGE
-from balance_cli.campaign.recording.load_table_columns import LABELS, POINT_WORDS, Column, identify_columns, plain_name
+from balance_cli.campaign.recording.load_table_columns import (
+    POINT_WORDS,
+    Column,
+    by_name,
+    identify_loads_and_readings,
+    plain_name,
+)
 from balance_cli.campaign.recording.point_labels import POINT_KINDS
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.recording.temperature import temperature_addition
@@ -136,18 +142,15 @@ class _TableReader:
     def __init__(self, table: TextTable, geometry: Geometry, reading: TableReading) -> None:
         self.table, self.geometry, self.reading = table, geometry, reading
         self.components = load_components(geometry)
-        names = (*self.components.names, *COMPONENTS, *geometry.channel_names, *LABELS)
-        columns = identify_columns(table, tuple(dict.fromkeys(names)))
-        self.columns: dict[str, Column] = {}
-        for column in columns:
-            if column is not None and self.columns.setdefault(column.name, column) is not column:
-                fault = f"`{table.header[self.columns[column.name].index]}` is `{column.name}` too"
-                raise table.error(0, table.header[column.index], fault, "Rename one of the two columns")
+        loads = (*self.components.names, *COMPONENTS)
+        columns = identify_loads_and_readings(table, loads, geometry.channel_names)
+        self.columns = by_name(table, (column for column in columns if column and not column.is_reading))
+        self.readings = by_name(table, (column for column in columns if column and column.is_reading))
         self.unused = tuple(head for head, column in zip(table.header, columns, strict=True) if head and column is None)
 
     def read(self) -> LoadTable:
         """The whole table."""
-        names = tuple(name for name in self.geometry.channel_names if name in self.columns)
+        names = tuple(name for name in self.geometry.channel_names if name in self.readings)
         if not names:
             heads = ", ".join(self.table.header[:20])
             fault = f"has no column of a channel: its columns are {heads}"
@@ -216,7 +219,7 @@ class _TableReader:
 
     def _channel(self, name: str) -> Array:
         """Readings (n,) of a channel, in the base unit that the geometry declares."""
-        column = self.columns[name]
+        column = self.readings[name]
         expected = next(channel.reading_unit for channel in self.geometry.channels if channel.name == name)
         unit = self._unit(column, VOLTAGE, RATIO, NUMBER)
         allow = self.reading.allow_missing

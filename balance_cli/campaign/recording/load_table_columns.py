@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable
-from balance_cli.io.units import is_unit, split_unit
+from balance_cli.io.units import FORCE, MOMENT, is_unit, parse_unit, split_unit
 
 LABELS = {
     "series": ("series", "seriesno", "loadseries", "loadingsequence", "sequence", "reihe", "serie"),
@@ -28,6 +29,7 @@ LOAD_WORDS = frozenset(
     (
         *("force", "load", "moment", "torque", "applied", "component", "kraft", "last", "drehmoment", "komponente"),
         *("effort", "charge", "couple", "composante"),
+        *("known", "true", "reference", "ref", "standard", "nominal", "bekannt", "referenz", "connu", "connue"),
     )
 )
 """Words beside the name of a load (`Effort Fx`, `applied Mz`), in lower case; other words may mean something else."""
@@ -44,24 +46,66 @@ STATISTIC_WORDS = ("std", "stdev", "stddev", "sd", "sigma", "rms", "noise", "min
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the table that is something known: its index, its name in the geometry, and its unit as text."""
+    """A column of the table that is something known: its index, its name in the geometry, and its unit as text.
+
+    `is_reading`: the column of a channel, also where a load has the same name.
+    """
 
     index: int
     name: str
     unit: str | None
+    is_reading: bool = False
 
 
-def identify_columns(table: TextTable, names: Sequence[str]) -> list[Column | None]:
+def identify_columns(table: TextTable, names: Sequence[str], shared: Iterable[str] = ()) -> list[Column | None]:
     """Each column of the table as one of the known names; None for any other.
 
-    Words such as `Force` beside the name of a load count where no column has the name alone.
+    Words such as `Force` beside the name of a load count where no column has the name alone. Of a name that a load
+    and a channel share (`shared`), the load is the column in a unit of force or moment or with such a word, and the
+    column of the plain name is the reading: sensors of six components name their outputs by the loads.
     """
-    columns = [_identify(table, index, names) for index in range(len(table.header))]
-    found = {column.name for column in columns if column is not None}
+    both = frozenset(shared)
+    columns = [_mark_reading(_identify(table, index, names), both) for index in range(len(table.header))]
+    found = {column.name for column in columns if column is not None and not column.is_reading}
     rest = tuple(name for name in names if name not in found and name not in LABELS)
     return [
         _identify(table, index, rest, LOAD_WORDS) if column is None else column for index, column in enumerate(columns)
     ]
+
+
+def identify_loads_and_readings(table: TextTable, loads: Sequence[str], channels: Sequence[str]) -> list[Column | None]:
+    """Each column as a load, a reading of a channel or a label; None for any other."""
+    names = tuple(dict.fromkeys((*loads, *channels, *LABELS)))
+    own = set(channels).difference(loads)
+    columns = identify_columns(table, names, set(channels).intersection(loads))
+    return [
+        replace(column, is_reading=True) if column is not None and column.name in own else column for column in columns
+    ]
+
+
+def by_name(table: TextTable, columns: Iterable[Column]) -> dict[str, Column]:
+    """The columns by their names; raises UserError where two have the same."""
+    named: dict[str, Column] = {}
+    for column in columns:
+        same = named.setdefault(column.name, column)
+        if same is not column:
+            fault = f"`{table.header[same.index]}` is `{column.name}` too"
+            raise table.error(0, table.header[column.index], fault, "Rename one of the two columns")
+    return named
+
+
+def _mark_reading(column: Column | None, shared: frozenset[str]) -> Column | None:
+    """A column whose name alone does not tell load from reading, as a reading unless it states the unit of a load."""
+    if column is None or column.name not in shared or _is_unit_of_load(column.unit):
+        return column
+    return replace(column, is_reading=True)
+
+
+def _is_unit_of_load(text: str | None) -> bool:
+    try:
+        return bool(text and parse_unit(text, FORCE, MOMENT))
+    except UserError:
+        return False
 
 
 def _identify(

@@ -11,10 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from balance_cli.campaign.recording.load_table import TableReading
-from balance_cli.campaign.recording.load_table_columns import LABELS, identify_columns, is_statistic, name_and_unit
+from balance_cli.campaign.recording.load_table_columns import (
+    LABELS,
+    identify_columns,
+    identify_loads_and_readings,
+    is_statistic,
+    name_and_unit,
+)
 from balance_cli.campaign.recording.reading_units import channels_of_free_unit, declare_reading_units
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import GEOMETRY_FORMAT
 from balance_cli.io.table_text import TextTable, read_table
@@ -38,9 +45,12 @@ class TableHead:
 def read_table_head(path: Path) -> TableHead:
     """Read what the columns of a table are. Raises UserError where the file is no table."""
     table = read_table(path)
-    known = identify_columns(table, (*COMPONENTS, *LABELS))
+    heads = [_name_and_dimension(table, index) for index in range(len(table.header))]
+    shared = {name for name, unit in heads if unit in (VOLTAGE, RATIO, NUMBER)}.intersection(COMPONENTS)
+    columns = identify_columns(table, (*COMPONENTS, *LABELS), shared)
+    known = [None if column is None or column.is_reading else column for column in columns]
     names = [column.name for column in known if column is not None]
-    others = [_name_and_dimension(table, index) for index, column in enumerate(known) if column is None]
+    others = [head for head, column in zip(heads, known, strict=True) if column is None]
     readings = {name: unit for name, unit in others if unit in (VOLTAGE, RATIO)}
     if not readings:  # counts only where nothing else can be a reading: rows and points are counted too
         readings = {name: unit for name, unit in others if unit == NUMBER}
@@ -107,10 +117,11 @@ def _stated_units(geometry: Geometry, path: Path, reading: TableReading) -> Iter
     """Channels without a declared unit that a table has in another base unit than V."""
     table = read_table(path)
     free = set(channels_of_free_unit(geometry))
-    columns = identify_columns(table, (*geometry.channel_names, *COMPONENTS, *LABELS))
+    loads = (*load_components(geometry).names, *COMPONENTS)
+    columns = identify_loads_and_readings(table, loads, geometry.channel_names)
     is_supplied = any(column is not None and column.name == "excitation" for column in columns)
     for column in columns:
-        if column is None or column.name not in free:
+        if column is None or not column.is_reading or column.name not in free:
             continue
         default = next((unit for unit in reading.units if unit.dimension in (VOLTAGE, RATIO, NUMBER)), None)
         if column.unit is None:
