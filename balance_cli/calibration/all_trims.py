@@ -23,7 +23,7 @@ from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.untested_products import UntestedProducts, find_untested_products
 from balance_cli.campaign.recording.run import Run, read_channels
-from balance_cli.campaign.rig.attitude import gravity_directions
+from balance_cli.campaign.rig.attitude import gravity_directions, is_one_direction
 from balance_cli.campaign.rig.load_components import LoadComponents
 
 Array = NDArray[np.float64]
@@ -153,7 +153,7 @@ def calibrate_all_trims(
         outliers=screened.outliers,
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
-        screening_notes=_screening_notes(points, screened),
+        screening_notes=_screening_notes(points, screened, tares),
         non_iterative=direct,
         checks=(*held_out, *_check_points_by_run(total, by, models, check_points)),
         tares=tares,
@@ -193,10 +193,10 @@ def _held_out_checks(
         yield from evaluate_check_loads(models, name, channels, loads, weight)
 
 
-def _screening_notes(points: CalibrationPoints, screened: ScreenedFit) -> tuple[str, ...]:
+def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Tares | None) -> tuple[str, ...]:
     alarms = unpredicted_series(points, screened.fit)
     own_products = own_product_notes(points, screened.fit)
-    return (*screened.screening_notes, *alarms, *own_products, *_runs_without_attitude(points))
+    return (*screened.screening_notes, *alarms, *own_products, *_undetermined_weight(points, tares))
 
 
 def _estimate_noise(
@@ -253,13 +253,17 @@ def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | N
     return None if tares is None or gravity is None else tares.loads(gravity, model.components)
 
 
-def _runs_without_attitude(points: CalibrationPoints) -> Iterator[str]:
-    """Notes on the runs that do not state an attitude while others do."""
-    if points.gravity is None:
+def _undetermined_weight(points: CalibrationPoints, tares: Tares | None) -> Iterator[str]:
+    """Notes on why the weight of the metric part is not determined although runs state their attitude."""
+    if points.gravity is None or tares is not None:
         return
-    for run in np.unique(points.run[~np.isfinite(points.gravity).all(axis=1)]):
+    silent = np.unique(points.run[~np.isfinite(points.gravity).all(axis=1)])
+    for run in silent:
         name = points.run_names[run]
         yield f"run {name} does not state its attitude: the weight of the metric part cannot be determined"
+    if not len(silent) and not is_one_direction(points.gravity):
+        why = "needs load series in three attitudes out of line, with hub loads as components"
+        yield f"the weight of the metric part is not determined: it {why}; every attitude has a zero of its own"
 
 
 def fit_drift(zeros: Array, covariance: Array) -> Drift:

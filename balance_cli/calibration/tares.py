@@ -101,6 +101,11 @@ class Tares:
         """Loads (m, k) [N, N m] on these components by the weight of the metric part; gravity (m, 3) in rig axes."""
         return np.asarray(weight_loads(gravity, components) @ self.w)
 
+    def difference_covariance(self, gravity: Array, other: Array, components: tuple[str, ...]) -> Array:
+        """Covariance (m, k, k) of what the weight changes between the directions `other` and `gravity` (m, 3)."""
+        change = weight_loads(gravity, components) - weight_loads(other, components)
+        return np.asarray(change @ self.w_covariance @ change.swapaxes(1, 2))
+
 
 def weight_loads(gravity: Array, components: tuple[str, ...] = COMPONENTS) -> Array:
     """T(a) (m, k, 4): loads on the balance per element of w = (W, W r), for unit vectors of gravity (m, 3)."""
@@ -154,9 +159,10 @@ def estimate_tares(
 ) -> Tares | None:
     """Estimate the tares from the zeros of a fit to loads that already include `added_weight` (4,), none by default.
 
-    None where a run does not state its attitude, or there are not three directions of gravity out of line.
+    None where a run does not state its attitude, a component is no hub load, or there are not three directions of
+    gravity out of line.
     """
-    if points.gravity is None or not np.isfinite(points.gravity).all():
+    if points.gravity is None or not np.isfinite(points.gravity).all() or not set(points.components) <= set(COMPONENTS):
         return None
     gravity, is_constant = _series_gravity(points, np.asarray(np.isfinite(fit.residuals).all(axis=1)))
     if np.count_nonzero(is_constant) == 0 or not _directions_suffice(gravity[is_constant]):

@@ -65,7 +65,7 @@ def command(
     """
     from balance_cli.calibration.load_method import choose_load_method
     from balance_cli.calibration.result import Calibration
-    from balance_cli.cli.apply_output import apply_summary, apply_text, loads_csv, output_units
+    from balance_cli.cli.apply_output import apply_summary, apply_text, apply_warnings, loads_csv, output_units
     from balance_cli.cli.scale_text import scale_evidence_of, scale_text
     from balance_cli.steps.point_loads import move_moment_center
     from balance_cli.steps.point_readings import point_readings, zero_reading
@@ -86,9 +86,8 @@ def command(
         loads = [move_moment_center(run, result.geometry, moment_center) for run in loads]
     columns = output_units(result, opened, load_units)
     session.write_text(output, loads_csv(opened, loads, columns))
-    for run in loads:
-        if run.left_out:
-            session.warn(f"{run.run}: channels absent: {', '.join(run.left_out)}; the others determine the loads")
+    for note in apply_warnings(loads):
+        session.warn(note)
     summary = {**apply_summary(loads), "scale_evidence": scale_evidence_of(result)}
     session.finish(summary, [*apply_text(loads, columns), *scale_text(result)])
 

@@ -95,6 +95,26 @@ def _run_summary(run: PointLoads) -> dict[str, Any]:
     return summary
 
 
+def apply_warnings(loads: Sequence[PointLoads]) -> Iterator[str]:
+    """Warnings about absent channels, and about rows in attitudes in which the weight is not known."""
+    for run in loads:
+        yield from _attitude_warning(run)
+        if run.left_out:
+            yield f"{run.run}: channels absent: {', '.join(run.left_out)}; the others determine the loads"
+
+
+def _attitude_warning(run: PointLoads) -> Iterator[str]:
+    from balance_cli.steps.point_flags import NO_WEIGHT
+
+    count = sum(NO_WEIGHT in flags.split("; ") for flags in run.flags)
+    if count:
+        yield (
+            f"{run.run}: {count} of {len(run.flags)} rows were read in another attitude than their zero: their loads "
+            "contain the change of the weight of the metric part, which the calibration does not know; calibrate with "
+            "load series in three attitudes or more, with columns `pitch` and `roll`"
+        )
+
+
 def _flag_counts(run: PointLoads) -> Counter[str]:
     """How many rows have each flag; the components of `extrapolated` are left out."""
     words = [word for flags in run.flags for word in flags.split("; ") if word]

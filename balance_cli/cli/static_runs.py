@@ -140,6 +140,8 @@ def open_table(session: Session, path: Path, geometry: Geometry, reading: TableR
     table = read_load_table(path, geometry, reading)
     if table.other_rows:
         session.warn(f"{path}: no load points, left out: {table.other_rows}")
+    for note in table.notes:
+        session.warn(f"{path}: {note}")
     if table.unused:
         session.warn(f"{path}: columns not used: {', '.join(table.unused)}")
     session.record_input(path.name, role, table.digest)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +30,15 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
 from balance_cli.reduction.mean_loads import determines_loads, mean_load_redundancy
 from balance_cli.signals import distributions as stats
+from balance_cli.steps.point_attitude import rows_of_unknown_weight, weight_covariance, weight_of_metric_part
+from balance_cli.steps.point_flags import RowTests, point_flags
 from balance_cli.steps.point_zeros import CALIBRATION_ZERO, PointReadings, SubtractedZero, ZeroReading, change_from_zero
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-EXTRAPOLATION_SIGMAS = 2.0
-"""Standard deviations of a load by which it must exceed the applied loads: the largest itself is read with noise."""
-NOT_CONVERGED = "not converged"
-"""Flag of a row whose loads the iteration did not find; its loads are empty."""
 CONVERGENCE_SHARE = 1e-6
 """Of the calibrated range, within which the model must reproduce the readings: far below any noise."""
 
@@ -78,7 +76,6 @@ class _Model:
     model: CalibrationModel
     rows: Index
     noise: Array
-    level: Array
     calibration: Calibration
     untested: UntestedProducts | None = None
 
@@ -96,7 +93,8 @@ def point_loads(
     Raises UserError where the channels of the readings do not determine the loads.
     """
     model = _usable_model(readings, calibration)
-    change, subtracted = change_from_zero(readings, model.model, model.rows, model.level, zero)
+    weight = partial(weight_of_metric_part, calibration)
+    change, subtracted = change_from_zero(readings, model.model, model.rows, weight, zero)
     direct = _non_iterative_model(model, non_iterative)
     loads, converged, method = _solve(model, change, direct)
     safe = np.where(converged[:, None], loads, 0.0)
@@ -107,18 +105,24 @@ def point_loads(
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     if direct is None:
         covariance *= _widening(model) * model.model.weight_widening(model.rows)
+    covariance = covariance + weight_covariance(readings, calibration, zero)
     quantile = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)
     unknown = ~converged
     loads[unknown], covariance[unknown] = np.nan, np.nan
+    tests = RowTests(
+        misfit=redundancy > limit,
+        unknown_weight=rows_of_unknown_weight(readings, calibration, zero),
+        no_zero=subtracted.words == CALIBRATION_ZERO,
+        untested=len(model.rows) <= len(model.model.components) or not np.isfinite(model.noise).all(),
+        untested_names=untested_names,
+    )
     return PointLoads(
         run=readings.run,
         components=model.model.components,
-        loads=loads - model.level,
+        loads=loads - weight(readings.gravity),
         covariance=covariance,
         interval=np.asarray(quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
-        flags=_flags(
-            model, loads, covariance, (redundancy > limit, subtracted.words == CALIBRATION_ZERO), untested_names
-        ),
+        flags=point_flags(model.model, loads, covariance, tests),
         redundancy=redundancy,
         zero=subtracted.words,
         method=method,
@@ -133,10 +137,10 @@ def _usable_model(readings: PointReadings, calibration: Calibration) -> _Model:
         if len(calibration.trims) > 1:
             fault = "has several trims and no calibration model of all trims"
             raise UserError(fault, "calibration", remedy="Calibrate with the runs of one trim")
-        model, level = model_of_trim(next(iter(calibration.trims.values()))), np.zeros(())
+        model = model_of_trim(next(iter(calibration.trims.values())))
         noise = model.residual_covariance
     else:
-        model, level, noise = all_trims.loads_model, all_trims.level_weight_loads, all_trims.noise.reading_covariance
+        model, noise = all_trims.loads_model, all_trims.noise.reading_covariance
     rows = np.array([i for i, name in enumerate(model.channel_names) if name in readings.channel_names], np.intp)
     k = len(model.components)
     if not determines_loads(model.coefficients[:k, rows].T):
@@ -144,7 +148,7 @@ def _usable_model(readings: PointReadings, calibration: Calibration) -> _Model:
         fault = f"its channels do not determine the loads (absent: {', '.join(lost) or 'none'})"
         raise UserError(fault, readings.run, "channels", f"Give columns of {', '.join(model.channel_names)}")
     untested = None if all_trims is None else all_trims.untested_products
-    return _Model(model, rows, noise[np.ix_(rows, rows)], level, calibration, untested)
+    return _Model(model, rows, noise[np.ix_(rows, rows)], calibration, untested)
 
 
 def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[float]) -> PointLoads:
@@ -251,37 +255,3 @@ def _redundancy(usable: _Model, change: Array, loads: Array, noise: Array) -> tu
         tests.append(mean_load_redundancy(reading - model.readings(row[None])[0, rows], J, covariance))
     redundancy, limit = np.array(tests).T
     return redundancy, limit
-
-
-def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> tuple[str, ...]:
-    """Components whose load (k,) is outside the applied loads by more than its own uncertainty."""
-    margin = EXTRAPOLATION_SIGMAS * np.nan_to_num(np.sqrt(np.diagonal(covariance)))
-    outside = (loads > model.largest_load + margin) | (loads < model.smallest_load - margin)
-    return tuple(name for name, is_outside in zip(model.components, outside, strict=True) if is_outside)
-
-
-def _flags(
-    usable: _Model,
-    loads: Array,
-    covariance: Array,
-    tests: tuple[NDArray[np.bool_], bool],
-    untested_names: Sequence[tuple[str, ...]],
-) -> tuple[str, ...]:
-    """Flags (n,); `tests`: rows whose redundant channels contradict, and whether the zero is the calibration's.
-
-    `untested_names` (n): components that rest on products of loads that the calibration could not tell.
-    """
-    untested = len(usable.rows) <= len(usable.model.components) or not np.isfinite(usable.noise).all()
-    flags = []
-    for row, S, misfits, names in zip(loads, covariance, tests[0], untested_names, strict=True):
-        found = {*_extrapolated(usable.model, row, S), *names} if np.isfinite(row).all() else set()
-        outside = [name for name in usable.model.components if name in found]
-        words = (
-            NO_ZERO if tests[1] else "",
-            UNTESTED if untested else "",
-            REDUNDANCY if misfits else "",
-            f"{EXTRAPOLATED} {' '.join(outside)}" if outside else "",
-            "" if np.isfinite(row).all() else NOT_CONVERGED,
-        )
-        flags.append(SEPARATOR.join(word for word in words if word))
-    return tuple(flags)

@@ -12,6 +12,7 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.load_table import LoadTable
 from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.recording.temperature import run_temperature
+from balance_cli.campaign.rig.attitude import gravity_directions, is_one_direction
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
@@ -46,6 +47,7 @@ def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bo
         is_zero=is_zero,
         applied=loads,
         temperature=table.temperature,
+        gravity=None if table.attitude is None else gravity_directions(table.attitude),
         load_series=_load_series(runs, series, loads) if first_is_zero else None,
     )
 
@@ -77,7 +79,19 @@ def zero_reading(table: LoadTable) -> ZeroReading:
         fault = "has loads: it is no reading of the unloaded balance"
         raise UserError(fault, str(table.path), remedy="Give a table of unloaded rows, or mark them as `tare`")
     temperature = None if table.temperature is None else float(table.temperature[rows].mean())
-    return ZeroReading(table.channel_names, table.channels[rows].mean(axis=0), int(np.count_nonzero(rows)), temperature)
+    gravity = None if table.attitude is None else gravity_directions(table.attitude[rows])
+    if gravity is not None and not is_one_direction(gravity):
+        fault = "was read in several attitudes: its mean is the reading of none"
+        raise UserError(
+            fault, str(table.path), "--zero", "Give unloaded rows in one attitude, or mark them in the table"
+        )
+    return ZeroReading(
+        channel_names=table.channel_names,
+        mean=table.channels[rows].mean(axis=0),
+        rows=int(np.count_nonzero(rows)),
+        temperature=temperature,
+        gravity=None if gravity is None else gravity.mean(axis=0),
+    )
 
 
 def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
@@ -95,6 +109,7 @@ def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
         unused=(),
         digest=run.digest,
         temperature=run_temperature(run),
+        attitude=run.attitude,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +26,8 @@ class PointReadings:
     `zero_group` (n,): number of the group of rows that share a zero; `is_zero` (n,): rows of the unloaded balance.
     `load_series` (n,): number of the load series of each row, where a group may have several; None where it has one.
     `applied` (n, k): loads that are known, of the components of the calibration; None where the table has none.
-    `temperature` (n,) [degC]; None where it is not known. `covariance` (n, c, c): of what was taken off the readings.
+    `temperature` (n,) [degC], `gravity` (n, 3) in rig axes; None where they are not known.
+    `covariance` (n, c, c): of what was taken off the readings.
     """
 
     run: str
@@ -37,6 +39,7 @@ class PointReadings:
     temperature: Array | None = None
     covariance: Array | None = None
     load_series: Index | None = None
+    gravity: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -54,27 +57,35 @@ class SubtractedZero:
 
 @dataclass(frozen=True)
 class ZeroReading:
-    """Reading (c,) of the unloaded balance, the mean of `rows` rows; its mean `temperature` [degC], None if unknown."""
+    """Reading (c,) of the unloaded balance, the mean of `rows` rows.
+
+    Its mean `temperature` [degC] and its direction of `gravity` (3,) in rig axes; None where they are not known.
+    """
 
     channel_names: tuple[str, ...]
     mean: Array
     rows: int
     temperature: float | None = None
+    gravity: Array | None = None
 
 
 def change_from_zero(
-    readings: PointReadings, model: CalibrationModel, rows: Index, level: Array, zero: ZeroReading | None
+    readings: PointReadings,
+    model: CalibrationModel,
+    rows: Index,
+    weight: Callable[[Array | None], Array],
+    zero: ZeroReading | None,
 ) -> tuple[Array, SubtractedZero]:
     """Readings (n, c) less the zero, and what that zero is.
 
-    `rows`: the channels of the model that the readings have; `level` (k,): loads of the weight of the metric part.
-    Raises UserError where the zero lacks a channel, or there is none.
+    `rows`: the channels of the model that the readings have; `weight`: loads (n, k) of the metric part for directions
+    of gravity (n, 3). Raises UserError where the zero lacks a channel, or there is none.
     """
     names = [model.channel_names[i] for i in rows]
     values = readings.channels[:, [readings.channel_names.index(name) for name in names]]
     n = len(values)
     if readings.is_zero.any():
-        unloaded = values - _tare_loads_reading(readings, model, level)[:, rows]
+        unloaded = values - _tare_loads_reading(readings, model, weight(readings.gravity))[:, rows]
         zeros, counts = _zeros_by_group(unloaded, readings.zero_group, readings.is_zero)
         zero_of = SubtractedZero(1.0 / counts, _scatter_share(readings), "rows of the unloaded balance")
         return values - zeros, zero_of
@@ -84,7 +95,9 @@ def change_from_zero(
             fault = f"the zero has no channel {', '.join(missing)}"
             raise UserError(fault, "--zero", remedy="Give a zero with all channels of the table")
         mean = zero.mean[[zero.channel_names.index(name) for name in names]]
-        return values - mean, SubtractedZero(np.full(n, 1.0 / zero.rows), np.zeros(n), "zero record")
+        own_weight = np.zeros((1, len(model.components))) + weight(None if zero.gravity is None else zero.gravity[None])
+        own = model.readings(own_weight)[:, rows]
+        return values - mean + own, SubtractedZero(np.full(n, 1.0 / zero.rows), np.zeros(n), "zero record")
     if model.load_series == (WITHOUT_ZEROS,):
         fault = "the calibration is a matrix without zeros, and no row is marked as that of the unloaded balance"
         raise UserError(
@@ -105,11 +118,11 @@ def _scatter_share(readings: PointReadings) -> Array:
     return share
 
 
-def _tare_loads_reading(readings: PointReadings, model: CalibrationModel, level: Array) -> Array:
+def _tare_loads_reading(readings: PointReadings, model: CalibrationModel, weight: Array) -> Array:
     """Readings (n, c) that known loads and the weight of the metric part cause."""
     known = np.zeros((len(readings.channels), len(model.components)))
     known = known if readings.applied is None else readings.applied
-    return model.readings(known + level)
+    return model.readings(known + weight)
 
 
 def _zeros_by_group(unloaded: Array, group: Index, is_zero: NDArray[np.bool_]) -> tuple[Array, Array]:

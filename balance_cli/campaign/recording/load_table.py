@@ -1,8 +1,8 @@
 """Point tables (CSV) of a static calibration or of loads to be computed, as static runs.
 
 Columns are found by their names: components of the geometry (or hub loads), its channels, and optionally `series`,
-`point` (kind of point), `run`, `trim`, `excitation` and `temperature`. Units stand in the head (`Fx [N]`, `Fx (lbf)`,
-`Fx / N`) or in a row below it.
+`point` (kind of point), `run`, `trim`, `excitation`, `temperature`, `pitch` and `roll`. Units stand in the head
+(`Fx [N]`, `Fx (lbf)`, `Fx / N`) or in a row below it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.additions_file import WIDE_RANGE
 from balance_cli.campaign.recording.load_table_columns import (
     POINT_WORDS,
     Column,
@@ -23,6 +22,7 @@ from balance_cli.campaign.recording.load_table_columns import (
     identify_loads_and_readings,
     plain_name,
 )
+from balance_cli.campaign.recording.load_table_conditions import attitude_notes, attitude_of_rows, temperature_of_rows
 from balance_cli.campaign.recording.point_labels import POINT_KINDS
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.recording.temperature import temperature_addition
@@ -32,7 +32,7 @@ from balance_cli.campaign.rig.load_components import load_components, moment_tra
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
 from balance_cli.io.text_numbers import LOAD_FILLER_RATIO
-from balance_cli.io.units import NUMBER, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit, split_unit
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,8 @@ class LoadTable:
 
     `lines` (n,): line of each row in the file; `load_units`: unit in which the table has each component;
     `unused`: columns that are nothing known; `other_rows`: lines that are no load points, in words, empty for none.
-    `temperature` (n,) [degC], None without a column of it.
+    `temperature` (n,) [degC], `attitude` (n, 2): pitch and roll [deg]; None without columns of them. `notes`: what was
+    assumed, in words.
     """
 
     path: Path
@@ -75,6 +76,8 @@ class LoadTable:
     digest: str
     temperature: Array | None = None
     other_rows: str = ""
+    attitude: Array | None = None
+    notes: tuple[str, ...] = ()
 
 
 def read_load_table(path: Path, geometry: Geometry, reading: TableReading | None = None) -> LoadTable:
@@ -121,6 +124,7 @@ def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, row
         has_loads=loads is not None,
         trim=trim,
         path=table.path,
+        attitude=None if table.attitude is None else table.attitude[rows],
         series_labels=labels.get("series"),
         point_kinds=labels.get("point"),
         additions=None if table.temperature is None else temperature_addition(table.temperature[rows]),
@@ -167,7 +171,9 @@ class _TableReader:
             load_units=load_units,
             unused=self.unused,
             digest=self.table.digest,
-            temperature=self._temperature(),
+            temperature=temperature_of_rows(self.table, self.columns, self._unit),
+            attitude=attitude_of_rows(self.table, self.columns, self._unit),
+            notes=tuple(attitude_notes(self.table, self.columns)),
             other_rows=_describe_rows(self.table.other_rows),
         )
 
@@ -241,19 +247,6 @@ class _TableReader:
                 fault = f"an excitation of {value:g} V"
                 raise self.table.error(line, self.table.header[column.index], fault, "It must be positive")
         return volts
-
-    def _temperature(self) -> Array | None:
-        """Temperature (n,) [degC]; None without a column of it."""
-        column = self.columns.get("temperature")
-        if column is None:
-            return None
-        unit, head = self._unit(column, TEMPERATURE), self.table.header[column.index]
-        values = unit.to_base(self.table.numbers(column.index))
-        for (line, _), value in zip(self.table.rows, values, strict=True):
-            if not WIDE_RANGE[0] <= value <= WIDE_RANGE[1]:
-                fault = f"is {value:.4g} degC"
-                raise self.table.error(line, head, fault, "Correct it, or the unit, or remove the column")
-        return values
 
     def _labels(self) -> Iterator[tuple[str, tuple[str, ...]]]:
         for name in ("series", "run", "trim"):

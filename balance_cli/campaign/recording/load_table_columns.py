@@ -6,9 +6,10 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable
-from balance_cli.io.units import FORCE, MOMENT, is_unit, parse_unit, split_unit
+from balance_cli.io.units import ANGLE, FORCE, MOMENT, is_unit, parse_unit, split_unit
 
 LABELS = {
     "series": ("series", "seriesno", "loadseries", "loadingsequence", "sequence", "reihe", "serie"),
@@ -23,8 +24,15 @@ LABELS = {
         *("temperature", "temp", "balancetemperature", "balancetemp", "gagetemperature", "tbal", "tbalance"),
         *("temperatur", "waagentemperatur"),
     ),
+    "pitch": ("pitch", "pitchangle", "pitchattitude", "nickwinkel"),
+    "roll": ("roll", "rollangle", "rollattitude", "rollwinkel"),
+    "yaw": ("yaw", "yawangle", "yawattitude", "gierwinkel"),
 }
 """Columns other than loads and channels, with the names under which they are understood."""
+YAW = "yaw"
+"""Label of the angle about the vertical."""
+ATTITUDE = (*ANGLES, YAW)
+"""Labels that name an angle only where their unit is one: there are moments of these names."""
 LOAD_WORDS = frozenset(
     (
         *("force", "load", "moment", "torque", "applied", "component", "kraft", "last", "drehmoment", "komponente"),
@@ -55,6 +63,14 @@ class Column:
     name: str
     unit: str | None
     is_reading: bool = False
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether the unit is one of angles, or is not stated."""
+        try:
+            return self.unit is None or parse_unit(self.unit, ANGLE).dimension == ANGLE
+        except UserError:
+            return False
 
 
 def identify_columns(table: TextTable, names: Sequence[str], shared: Iterable[str] = ()) -> list[Column | None]:
@@ -116,7 +132,8 @@ def _identify(
         words = re.split(r"([\s_.\-]+)", name) if leave_out else [name]
         known = _match_name("".join(word for word in words if word.lower() not in leave_out).strip(" _.-"), names)
         if known is not None:
-            return Column(index, known, unit if unit is not None else (row_unit or None))
+            column = Column(index, known, unit if unit is not None else (row_unit or None))
+            return column if known not in ATTITUDE or column.is_angle else None
     return None
 
 

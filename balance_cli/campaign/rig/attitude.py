@@ -24,6 +24,11 @@ def gravity_directions(attitude: ArrayLike) -> Array:
     return np.column_stack([np.sin(pitch), -np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll)])
 
 
+def is_one_direction(gravity: Array) -> bool:
+    """Whether all directions of gravity (m, 3) are one, within the tolerance of an attitude."""
+    return bool(np.all(np.linalg.norm(gravity - gravity[0], axis=1) <= ATTITUDE_TOLERANCE))
+
+
 def attitude_segments(run: Index, gravity: Array | None) -> Index:
     """Number (m,) of each segment of rows of one run (m,) in one attitude, from gravity (m, 3), NaN where unknown."""
     new = np.diff(run, prepend=run[:1]) != 0

@@ -1,0 +1,63 @@
+"""Flags of the static loads of points: what speaks against each row, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
+
+Array = NDArray[np.float64]
+
+EXTRAPOLATION_SIGMAS = 2.0
+"""Standard deviations of a load by which it must exceed the applied loads: the largest itself is read with noise."""
+NO_WEIGHT = "no weight"
+"""Flag of a row in another attitude than its zero: its loads contain a change of weight that is not known."""
+NOT_CONVERGED = "not converged"
+"""Flag of a row whose loads the iteration did not find; its loads are empty."""
+
+
+@dataclass(frozen=True)
+class RowTests:
+    """What is known of each row beside its loads.
+
+    `misfit` (n,): its redundant channels contradict; `unknown_weight` (n,): it has another attitude than its zero.
+    `no_zero`: the zero is that of the calibration; `untested`: nothing tests the rows. `untested_names` (n): components
+    that rest on products of loads that the calibration could not tell.
+    """
+
+    misfit: NDArray[np.bool_]
+    unknown_weight: NDArray[np.bool_]
+    no_zero: bool
+    untested: bool
+    untested_names: Sequence[tuple[str, ...]]
+
+
+def point_flags(model: CalibrationModel, loads: Array, covariance: Array, tests: RowTests) -> tuple[str, ...]:
+    """Flags (n,) of loads (n, k) with covariance (n, k, k)."""
+    flags = []
+    rows = zip(loads, covariance, tests.misfit, tests.unknown_weight, tests.untested_names, strict=True)
+    for row, S, misfits, unknown, names in rows:
+        found = {*_extrapolated(model, row, S), *names} if np.isfinite(row).all() else set()
+        outside = [name for name in model.components if name in found]
+        words = (
+            NO_ZERO if tests.no_zero else "",
+            NO_WEIGHT if unknown else "",
+            UNTESTED if tests.untested else "",
+            REDUNDANCY if misfits else "",
+            f"{EXTRAPOLATED} {' '.join(outside)}" if outside else "",
+            "" if np.isfinite(row).all() else NOT_CONVERGED,
+        )
+        flags.append(SEPARATOR.join(word for word in words if word))
+    return tuple(flags)
+
+
+def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> tuple[str, ...]:
+    """Components whose load (k,) is outside the applied loads by more than its own uncertainty."""
+    margin = EXTRAPOLATION_SIGMAS * np.nan_to_num(np.sqrt(np.diagonal(covariance)))
+    outside = (loads > model.largest_load + margin) | (loads < model.smallest_load - margin)
+    return tuple(name for name, is_outside in zip(model.components, outside, strict=True) if is_outside)
