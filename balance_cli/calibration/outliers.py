@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.exclusion_test import is_beyond_chance
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gross_outliers import gross_outlier_candidates, misplaced_rows
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
@@ -77,8 +78,11 @@ def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) ->
             break
         excluded, included = excluded | further, included.exclude_rows(further)
         fit = fit_calibration_model(included, choice)
-    excluded, fit = _include_predicted_rows(points, included, fit, excluded, choice)
-    if stopped:
+    outlying = excluded
+    excluded, fit = _include_predicted_rows(points, included, fit, outlying, choice)
+    included = replace(included, weight=np.where(outlying & ~excluded, points.weight, included.weight))
+    excluded, fit, notes = _include_rows_of_chance(points, included, fit, excluded, choice, notes)
+    if stopped and excluded.any():
         notes = (*notes, f"{int(np.count_nonzero(excluded))} rows were excluded as outliers, and more remain")
     return ScreenedFit(fit, describe_outliers(points, fit, excluded), suspect_series, notes)
 
@@ -100,6 +104,32 @@ def _include_predicted_rows(
     further = replace(included, weight=np.where(predicted, points.weight, included.weight))
     again = fit_calibration_model(further, choice)
     return (excluded, fit) if _largest_outlier(further, again) is not None else (excluded & ~predicted, again)
+
+
+def _include_rows_of_chance(
+    points: CalibrationPoints,
+    included: CalibrationPoints,
+    fit: CalibrationModelFit,
+    excluded: Mask,
+    choice: TermChoice,
+    notes: tuple[str, ...],
+) -> tuple[Mask, CalibrationModelFit, tuple[str, ...]]:
+    """Include the excluded rows (m,) where so few rows are left that these may fit well by chance alone."""
+    standing_out = excluded & ~misplaced_rows(points)
+    if not standing_out.any() or is_beyond_chance(points, included, fit, standing_out):
+        return excluded, fit, notes
+    rows = np.flatnonzero(standing_out)
+    names = ", ".join(f"{points.run_names[points.run[row]]} row {_row_in_run(points, row)}" for row in rows.tolist())
+    is_one = len(rows) == 1
+    note = f"{names} {'deviates' if is_one else 'deviate'} from the others, which may be chance with so few rows or so"
+    note += f" uneven errors; {'it was' if is_one else 'they were'} not excluded"
+    included = replace(included, weight=np.where(standing_out, points.weight, included.weight))
+    return excluded & ~standing_out, fit_calibration_model(included, choice), (*notes, note)
+
+
+def _row_in_run(points: CalibrationPoints, row: int) -> int:
+    """Number from 1 of a row in its run."""
+    return row - int(np.flatnonzero(points.run == points.run[row])[0]) + 1
 
 
 def _most_outliers(points: CalibrationPoints) -> int:
@@ -233,10 +263,10 @@ def describe_outliers(points: CalibrationPoints, fit: CalibrationModelFit, exclu
     outliers = []
     for row in np.flatnonzero(excluded).tolist():
         ratio = np.abs(errors[row]) * np.sqrt(points.weight[row]) / common[row]
-        c, first = int(np.argmax(ratio)), int(np.flatnonzero(points.run == points.run[row])[0])
+        c = int(np.argmax(ratio))
         outlier = Outlier(
             run=points.run_names[int(points.run[row])],
-            row=row - first + 1,
+            row=_row_in_run(points, row),
             channel=points.channel_names[c],
             error=float(errors[row, c]),
             over_sigma=float(ratio[c]),
@@ -244,5 +274,7 @@ def describe_outliers(points: CalibrationPoints, fit: CalibrationModelFit, exclu
         )
         other = partner.get(row)
         cause = None if other is not None else likely_cause(fit.model, points, row, errors[row])
-        outliers.append(replace(outlier, exchanged_with=None if other is None else other - first + 1, cause=cause))
+        outliers.append(
+            replace(outlier, exchanged_with=None if other is None else _row_in_run(points, other), cause=cause)
+        )
     return tuple(outliers)
