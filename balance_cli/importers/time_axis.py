@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.importers.base import Array, ReadBlock
+from balance_cli.importers.written_times import read_written_times
 from balance_cli.io.errors import UserError
 
 BLOCK = 2**17
@@ -58,6 +59,10 @@ def read_time_axis(read: ReadBlock, samples: int, factor: float = 1.0) -> TimeAx
     step, mean = sums[0] / square, sums[1] / samples
     if not step > 0.0:
         raise UserError("the times do not increase", remedy="Give the sample rate in the map instead of a time")
+    written = read_written_times(read, samples, 1.0 / (step * factor), factor)
+    if written is not None:
+        errors = (read([0], 0, min(BLOCK, samples))[:, 0] * factor - written.start) * written.rate
+        return TimeAxis(written.rate, written.start, float(np.abs(errors - np.arange(len(errors))).max()))
     scatter = _scatter(read, samples, first, step, mean - step * middle)
     rate = 1.0 / (step * factor)
     if abs(rate - round(rate)) < WHOLE_RATE_TOLERANCE * rate and round(rate) > 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatch
 
 from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, MappedLoad
 from balance_cli.campaign.rig.components import UNIT_OF
@@ -72,7 +73,7 @@ class ChannelFinder:
         first = self._channels.setdefault(channel.name, channel)
         if first is not channel and channel.name in self._used_names():
             fault = f"has the channel `{channel.name}`, which {first.file.path} has, too"
-            remedy = "Give these files different run names, or rename the channel"
+            remedy = f"Give these files different run names, or write `{channel.file.path.name}/{channel.name}`"
             raise UserError(fault, str(channel.file.path), remedy=remedy)
 
     def _used_names(self) -> set[str]:
@@ -81,9 +82,12 @@ class ChannelFinder:
         return mapped | {point.channel for point in declared.load_points}
 
     def find(self, name: str) -> FoundChannel:
-        """The channel of this name. Raises UserError, with the nearest one, where there is none or it is unusable."""
+        """The channel of this name, or of one file as `FILE/CHANNEL`; `*` and `?` in FILE stand for any characters.
+
+        Raises UserError, with the nearest one, where there is none or it is unusable.
+        """
         key = " ".join(name.split())
-        channel = self._channels.get(key)
+        channel = self._channels.get(key) or self._find_in_file(key)
         file = str(self.files[0].path)
         if channel is None:
             near = difflib.get_close_matches(key, self._channels, n=1, cutoff=0.0)
@@ -94,6 +98,15 @@ class ChannelFinder:
             fault = f"is {channel.group.unusable}"
             raise UserError(fault, str(channel.file.path), f"channel `{name}`", "Leave it out of the map")
         return channel
+
+    def _find_in_file(self, key: str) -> FoundChannel | None:
+        pattern, _, name = key.partition("/")
+        for file in self.files:
+            if fnmatch(file.path.name, pattern.strip()) or fnmatch(file.path.stem, pattern.strip()):
+                for group in file.groups:
+                    if name.strip() in group.names:
+                        return FoundChannel(name.strip(), file, group, group.names.index(name.strip()))
+        return None
 
     def clock(self, channel: FoundChannel) -> Clock:
         """Rate and start of a channel's group: from the file, from its time column, or from the map."""

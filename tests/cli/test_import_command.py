@@ -348,3 +348,26 @@ def test_files_of_one_run_have_each_their_own_time(tmp_path):
     run_import(tmp_path, mapping, tmp_path / "rec-a.csv", tmp_path / "rec-b.csv")
     read = open_run(tmp_path / "runs" / "rec.h5")
     assert read.sample_rate == 500.0 and np.allclose(*read.read().channels.T, atol=1e-4)
+
+
+def test_channels_of_the_same_name_are_told_by_their_files(tmp_path):
+    """Force and response of a hammer test, each a file of two columns without a head."""
+    time = np.arange(400) / 1000.0
+    for name, values in (("force-1.txt", np.exp(-((time - 0.1) ** 2) * 1e5)), ("accel-1.txt", np.cos(50 * time))):
+        np.savetxt(tmp_path / name, np.c_[time, values], delimiter="\t", fmt="%.9g")
+    files = tmp_path / "force-1.txt", tmp_path / "accel-1.txt"
+    runs = [{"file": "*-{number}.txt", "run": "tap-{number}", "kind": "sweep", "excited": "Fz", "excitation": "impact"}]
+    keys = {"time": "column 1", "loads": {"force-*/column 2": {"component": "Fz", "unit": "N"}}, "runs": runs}
+    run_import(tmp_path, base_map(channels={"accel-*/column 2": {"name": "a", "unit": "V"}}, **keys), *files)
+    block = open_run(tmp_path / "runs" / "tap-1.h5").read()
+    assert np.allclose(block.channels[:, 0], np.cos(50 * time))
+    assert np.argmax(block.loads[:, 2]) == 100
+
+
+def test_two_channels_of_one_name_are_refused_with_the_names_that_tell_them_apart(tmp_path):
+    for name in ("force-1.txt", "accel-1.txt"):
+        np.savetxt(tmp_path / name, np.c_[np.arange(40) / 1000.0, np.ones(40)], delimiter="\t", fmt="%.9g")
+    runs = [{"file": "*-1.txt", "run": "tap", "kind": "zero"}]
+    mapping = base_map(time="column 1", channels={"column 2": {"name": "a", "unit": "V"}}, runs=runs)
+    result = run_import(tmp_path, mapping, tmp_path / "force-1.txt", tmp_path / "accel-1.txt", status=2)
+    assert "accel-1.txt/column 2" in result.stderr
