@@ -24,7 +24,7 @@ from balance_cli.diagnosis.selection.effect_selection import (
     narrow_places,
     prune_effects,
 )
-from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
+from balance_cli.diagnosis.selection.fit import Fit, continue_fit, fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
 from balance_cli.diagnosis.settings import SearchSettings
@@ -151,7 +151,7 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
             break
     tested = examine_hypotheses(fit, batches, last_round(trials) + 1, settings)
     fit = tested.fit
-    fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
+    fit = continue_fit(fit, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     support = {**comparison.effect_support, **tested.support}
     confirmation = score_again(confirmation, fit, batches, settings)
     known = None if error_runs else fit.minimum.data.information
@@ -187,7 +187,7 @@ def _fit_and_narrow(
     if noise_alone and not fit.minimum.converged:
         fit, trials = narrow_places(fit, batches, number, settings)
     if not fit.minimum.converged:
-        fit = fit_all_lines(fit.model, fit.theta, batches, settings.fit)
+        fit = continue_fit(fit, batches, settings.fit)
     return refit_at_best_frequency(fit, declared_effects(fit.model.geometry), batches, settings), trials
 
 

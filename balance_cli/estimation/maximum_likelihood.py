@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize, prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, data_curvature
+from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.starting_values import add_weak_priors
 from balance_cli.model.balance import BalanceModel
 
@@ -31,10 +31,12 @@ def fit_maximum_likelihood(
     start: Array,
     iterations: int = ITERATIONS,
     tolerance: float = TOLERANCE,
+    known: Curvature | None = None,
 ) -> Minimum:
     """Maximize the likelihood of the lines (errors on channels and loads) times the priors, from `start`.
 
-    The fit ends when the predicted decrease of chi-square is less than `tolerance`.
+    The fit ends when the predicted decrease of chi-square is less than `tolerance`. `known`: the curvature of the data
+    at `start`, where another fit of this model to these lines has ended there.
     """
     return minimize(
         model.parameters,
@@ -43,6 +45,7 @@ def fit_maximum_likelihood(
         lambda theta: data_chi2(batches, model.system(theta, derivatives=False)),
         iterations=iterations,
         tolerance=tolerance,
+        known=known,
     )
 
 
@@ -88,7 +91,7 @@ def fit_best_start(model: BalanceModel, batches: Sequence[Batch], starts: Mappin
     first = minima[best]
     if first.converged:
         return first, best
-    rest = fit_maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL_ITERATIONS)
+    rest = fit_maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL_ITERATIONS, known=first.data)
     return replace(rest, iterations=first.iterations + rest.iterations), best
 
 

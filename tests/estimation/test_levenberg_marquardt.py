@@ -96,3 +96,23 @@ def test_an_accepted_first_step_evaluates_no_chi2():
     result = problem.minimum(unknown("a", "b"), (1.0, 1.0))
     assert result.theta == pytest.approx([3.0, 0.0], abs=1e-9)
     assert (problem.curvatures, problem.values) == (result.iterations, 0)
+
+
+def test_a_fit_goes_on_from_a_known_curvature_as_if_it_had_not_stopped():
+    """Of a fit that ended after three steps and goes on, no evaluation is repeated and no digit differs."""
+
+    def residuals(x):
+        return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+    def jacobian(x):
+        return np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+
+    parameters, start = unknown("effect.a", "effect.b"), [-1.2, 1.0]
+    apart, at_once = Residuals(residuals, jacobian), Residuals(residuals, jacobian)
+    first = apart.minimum(parameters, start, iterations=3)
+    assert not first.converged
+    before = apart.curvatures
+    known = apart.minimum(parameters, first.theta, known=first.data)
+    again = at_once.minimum(parameters, first.theta)
+    np.testing.assert_array_equal(known.theta, again.theta)
+    assert apart.curvatures - before == at_once.curvatures - 1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import refine_point_mass
 from balance_cli.diagnosis.search.score_statistics import Score, apply_score_step, has_nuisance_parameters
-from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, start_fit
+from balance_cli.diagnosis.selection.fit import Fit, continue_fit, fit_all_lines, start_fit
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
@@ -92,7 +92,7 @@ def refit_with_candidate(
     if not has_nuisance_parameters(score):
         return fit_scored_candidate(fit, score, batches, settings)
     first = fit_first_steps(fit, score, batches, settings) if first is None else first
-    best = fit_all_lines(first.model, first.theta, batches, settings.fit)
+    best = continue_fit(first, batches, settings.fit)
     if score.gain >= settings.selection.strong_gain and not score.candidate.fitted_start_values:
         geometry = add_candidates(fit.model.geometry, [(score.candidate, score.start)], at_start_values=True)
         from_start = fit_all_lines(*extend_model(fit.model, fit.theta, geometry), batches, settings.fit)

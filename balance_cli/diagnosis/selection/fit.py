@@ -42,6 +42,12 @@ def fit_all_lines(
     return Fit(model, fit_maximum_likelihood(model, batches, theta, iterations, settings.comparison_tolerance))
 
 
+def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> Fit:
+    """Return a fit of these lines, which has ended early, continued to the tolerance of chi-square in the settings."""
+    tolerance, known = settings.comparison_tolerance, fit.minimum.data
+    return Fit(fit.model, fit_maximum_likelihood(fit.model, batches, fit.theta, tolerance=tolerance, known=known))
+
+
 def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:
     """Return the first steps of a fit, in which parameters without a prior stay near `theta` (p,)."""
     minimum = take_first_steps(
