@@ -17,7 +17,15 @@ Mask = NDArray[np.bool_]
 def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
     """The gains g (k, c), volts per unit of what each channel's spring reads at `frequency` (k,) [Hz]."""
     s = 2j * np.pi * np.asarray(frequency, float)
-    return np.stack([path.gain.value * channel_dynamics(path, s) for path in paths], axis=1)
+    alike = [_dynamics_key(path) for path in paths]
+    dynamics = {key: channel_dynamics(path, s) for key, path in dict(zip(alike, paths, strict=True)).items()}
+    return np.stack([path.gain.value * dynamics[key] for key, path in zip(alike, paths, strict=True)], axis=1)
+
+
+def _dynamics_key(path: ChannelPath) -> tuple[object, ...]:
+    """What the dynamics of a channel depend on: most channels of a balance have those of another."""
+    rates = tuple(tuple(float(item.value) for item in part) for part in (path.low_pass, path.high_pass))
+    return (*rates, None if path.delay is None else float(path.delay.value), path.differentiations)
 
 
 def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:

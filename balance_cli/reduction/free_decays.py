@@ -47,7 +47,8 @@ def response_is_constant(
     """Return whether the rotor speed from a revolution on leaves the response to each harmonic as it is."""
     speed = azimuth.speed(azimuth.time_of(np.arange(first_revolution, azimuth.turns + 1)))
     harmonic = np.arange(1, max(max_harmonic, 1) + 1)
-    slow, fast = (source.at(harmonic * extreme, run.rotor_speed) for extreme in (speed.min(), speed.max()))
+    extremes = np.concatenate([harmonic * speed.min(), harmonic * speed.max()])
+    slow, fast = np.split(source.at(extremes, run.rotor_speed), 2)
     change = np.linalg.norm(fast - slow, axis=1)
     return bool(np.all(change <= LARGEST_RESPONSE_CHANGE * np.linalg.norm(slow, axis=1)))
 

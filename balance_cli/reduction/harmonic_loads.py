@@ -263,15 +263,17 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
     band = lowest_frequency(source), highest_frequency(source)
     alone = harmonic_lines(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
     lines = [item.moved_into(*band) for item in alone]
-    at = source.at(np.concatenate([item.frequency for item in lines]), record.spin)
-    parts = np.split(at, np.cumsum([len(item.frequency) for item in lines])[:-1])
-    averages = []
-    for item, value, center in zip(lines, parts, spectra.frequency_hz[1:], strict=True):
-        H = anti_alias_response(geometry.acquisition, item.frequency) / anti_alias_response(
-            geometry.acquisition, center
-        )
-        averages.append(np.einsum("g,grj->rj", item.weight * H, value))
-    return np.stack(averages)
+    frequency = np.concatenate([item.frequency for item in lines])
+    ends = np.cumsum([len(item.frequency) for item in lines])[:-1]
+    parts = np.split(source.at(frequency, record.spin), ends)
+    centers = anti_alias_response(geometry.acquisition, spectra.frequency_hz[1:])
+    filters = np.split(anti_alias_response(geometry.acquisition, frequency), ends)
+    return np.stack(
+        [
+            np.tensordot(item.weight * H / center, value, 1)
+            for item, value, H, center in zip(lines, parts, filters, centers, strict=True)
+        ]
+    )
 
 
 def _check_determined(T: ComplexArray, record: RotorRecord) -> None:

@@ -24,7 +24,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
-from balance_cli.model.system_response import response, solve
+from balance_cli.model.system_response import load_response, solve
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
 from balance_cli.reduction.response_sources import ChannelCombination, ResponseSource, select_channels
 
@@ -85,7 +85,7 @@ class ModelSource:
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """Return T of the model."""
-        return response(self.system, solve(self.system, frequency, spin))
+        return load_response(self.system, frequency, spin)
 
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run without the contribution of nonlinear cell forces to its channels."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+from bisect import bisect_right
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import rfft
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -32,16 +35,16 @@ def amplitude_spectrum(samples: Array, sample_rate: float, longest: int = 16384)
     return frequency, np.asarray(2.0 / window.sum() * np.sqrt(power / len(starts)))
 
 
-def normalize_channels(values: Array) -> tuple[Singles, Array]:
-    """Return the channels (c, m) of values (m, c) without their means, in single precision, over their largest (c,).
+def normalize_channels(rows: Array) -> tuple[Singles, Array]:
+    """Return the channels (c, m) without their means, in single precision, over their largest value (c,).
 
     The rounding is far below the side lobes of the windows with which lines are sought.
     """
-    deviation = np.array(values.T, order="C")
-    deviation -= deviation.mean(axis=1, keepdims=True)
-    scale = np.maximum(np.maximum(deviation.max(axis=1), -deviation.min(axis=1)), np.finfo(float).tiny)
-    channels = np.empty(deviation.shape, np.float32)
-    np.multiply(deviation, 1.0 / scale[:, None], out=channels, casting="same_kind")
+    mean = rows.mean(axis=1)
+    scale = np.maximum(np.maximum(rows.max(axis=1) - mean, mean - rows.min(axis=1)), np.finfo(float).tiny)
+    channels = np.empty(rows.shape, np.float32)
+    for row, channel, center, size in zip(rows, channels, mean, scale, strict=True):
+        np.multiply(row - center, 1.0 / size, out=channel, casting="same_kind")
     return channels, scale
 
 
@@ -50,4 +53,13 @@ def fast_length(samples: int) -> int:
 
     With a large one the transform takes several times as long. Less than 2 % of a record of 500 samples or more goes.
     """
-    return next(length for length in range(samples, 0, -1) if next_fast_len(length, real=True) == length)
+    lengths = _fast_lengths(samples.bit_length())
+    return lengths[bisect_right(lengths, samples) - 1]
+
+
+@functools.cache
+def _fast_lengths(bits: int) -> list[int]:
+    """Return the numbers below 2^bits that have no prime factor above 5, in ascending order."""
+    threes = [3**k for k in range(bits)]
+    odd = [three * 5**k for three in threes for k in range(bits) if three * 5**k < 1 << bits]
+    return sorted(number << shift for number in odd for shift in range(bits) if number << shift < 1 << bits)

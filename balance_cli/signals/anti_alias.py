@@ -29,4 +29,7 @@ def anti_alias_response(acquisition: Acquisition, frequency_hz: ArrayLike) -> Co
         return np.ones(frequency.shape, complex)
     s = 1j * frequency / acquisition.filter.cutoff
     poles = butterworth_poles(acquisition.filter.order)
-    return np.asarray(np.prod(-poles / (s[..., None] - poles), axis=-1))
+    response = np.ones(frequency.shape, complex)
+    for pole in poles.tolist():
+        response *= -pole / (s - pole)
+    return response

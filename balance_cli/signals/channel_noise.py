@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.recording.run import Run, read_channel_rows, read_channels
 from balance_cli.campaign.rig.geometry import Acquisition
 from balance_cli.signals.cross_spectra import MAIN_LOBE, noise_variance_above
 
@@ -40,9 +40,18 @@ class CleanRecord:
 
     def parts(self) -> Iterator[tuple[int, Array]]:
         """Yield first sample and samples (n, c) of each block."""
+        for first, end in self._blocks():
+            yield first, read_channels(self.run, self.names, first, end)
+
+    def channel_parts(self) -> Iterator[Array]:
+        """Yield the samples (c, n) of each block, a row for each channel."""
+        for first, end in self._blocks():
+            yield read_channel_rows(self.run, self.names, first, end)
+
+    def _blocks(self) -> Iterator[tuple[int, int]]:
         for start, stop in self.spans:
             for first in range(start, stop, BLOCK_SAMPLES):
-                yield first, read_channels(self.run, self.names, first, min(first + BLOCK_SAMPLES, stop))
+                yield first, min(first + BLOCK_SAMPLES, stop)
 
     def window(self, seconds: float) -> int:
         """Return the samples of a window of about `seconds`: a power of two, at most a third of the longest span."""
@@ -58,5 +67,6 @@ def channel_noise(clean_record: CleanRecord, acquisition: Acquisition) -> Array:
     lowest = LOAD_FREE_CUTOFF_FACTOR * cutoff
     if lowest >= LOAD_FREE_NYQUIST_SHARE * nyquist:
         lowest = LOAD_FREE_NYQUIST_SHARE * nyquist
-    parts = (samples for _, samples in clean_record.parts())
-    return noise_variance_above(lowest, parts, clean_record.step, clean_record.window(WINDOW_TIME))
+    return noise_variance_above(
+        lowest, clean_record.channel_parts(), clean_record.step, clean_record.window(WINDOW_TIME)
+    )

@@ -87,35 +87,37 @@ def noise_variance(spectra: CrossSpectra, step: float, load_free: NDArray[np.boo
 def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, length: int) -> Array:
     """Return the variance (c,) [V2] of one sample of white noise, from the bins above `lowest` [Hz].
 
-    As `noise_variance` of `cross_spectra` over the parts (n, c), but without the products of different channels. Raises
+    As `noise_variance` of `cross_spectra` over the parts (c, n), but without the products of different channels. Raises
     UserError where no part is as long as a window, or no bin is above.
     """
     window = blackman_harris(length)
     frequency = np.fft.rfftfreq(length, step)
-    bins = np.flatnonzero(frequency[: len(frequency) - MAIN_LOBE] > lowest)
-    bins = bins[bins >= MAIN_LOBE]
+    end = len(frequency) - MAIN_LOBE
+    first = max(int(np.searchsorted(frequency, lowest, side="right")), MAIN_LOBE)
     power, count = [], 0
     for part in parts:
-        if len(part) < length:
+        if part.shape[1] < length:
             continue
-        starts = np.lib.stride_tricks.sliding_window_view(np.ascontiguousarray(part.T), length, axis=1)
-        count += len(range(0, len(part) - length + 1, length // 3))
-        power.append([_summed_power(samples[:: length // 3], window, bins) for samples in starts])
-    if not count or not len(bins):
+        starts = np.lib.stride_tricks.sliding_window_view(part, length, axis=1)[:, :: length // 3]
+        count += starts.shape[1]
+        power.append([_summed_power(windows, window, slice(first, end)) for windows in starts])
+    if not count or first >= end:
         raise _no_window_error(length * step)
     density = np.sum(power, axis=0) / (np.sum(window**2) * count)
     return np.asarray(np.median(density, axis=1) / _median_of_mean(max(INDEPENDENT_PER_WINDOW * count, 1.0)))
 
 
-def _summed_power(windows: Array, taper: Array, bins: NDArray[np.int64]) -> Array:
+def _summed_power(windows: Array, taper: Array, bins: slice) -> Array:
     """Return the power (k,) of the spectra of windows (w, n) of one channel at bins beyond the main lobe, summed.
 
     The mean of a window is in the main lobe alone.
     """
     from scipy.fft import rfft
 
-    spectrum = np.ascontiguousarray(rfft(windows * taper, axis=1, overwrite_x=True)[:, bins]).view(float)
-    return np.asarray(np.einsum("wk,wk->k", spectrum, spectrum).reshape(-1, 2).sum(axis=1))
+    spectrum = rfft(windows * taper, axis=1, overwrite_x=True)[:, bins]
+    return np.asarray(
+        np.einsum("wk,wk->k", spectrum.real, spectrum.real) + np.einsum("wk,wk->k", spectrum.imag, spectrum.imag)
+    )
 
 
 def _no_window_error(seconds: float) -> UserError:

@@ -27,6 +27,8 @@ LATE_REVOLUTIONS = 200
 """Revolutions at the end of the record from which the steady energy comes: ample for a quantile."""
 LATE_SHARE = 0.25
 """Share of the record at its end that is never discarded."""
+EXAMINED_REVOLUTIONS = 48
+"""Revolutions from the start on that are examined at a time: most transients have ended after so many."""
 STEADY_QUANTILE = 0.9
 """Quantile of the late energies that counts as steady: a changing speed or a late step may be among them."""
 SIGNIFICANT_SIGMAS = 4.0
@@ -70,17 +72,39 @@ def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str]
     if last < 1 or azimuth.turns - last <= 2 * MAX_LAG:
         return TransientEnd(0, azimuth.first, True, "")
     points = _points_per_revolution(run, azimuth)
-    early = _average_energy(
-        _difference_energy(run, azimuth, names, (0, last + MAX_LAG + SMOOTHING_REVOLUTIONS), points)
-    )
     span = (max(last, azimuth.turns - LATE_REVOLUTIONS), azimuth.turns)
-    later = _average_energy(_difference_energy(run, azimuth, names, span, points))
-    margin = 1.0 + SIGNIFICANT_SIGMAS * np.sqrt(2.0 / (SMOOTHING_REVOLUTIONS * points))
-    excess = early[: last + 1] / (margin * _steady_energy(later, run, azimuth, names, last))
-    steady = np.flatnonzero(np.all(excess <= 1.0, axis=1))
-    first = int(steady[0]) if steady.size else last
-    worst = names[int(np.argmax(excess[max(first - 1, 0)]))] if first else ""
-    return TransientEnd(first, float(azimuth.time_of(np.array(first))), bool(steady.size), worst)
+    resampled = _resample_revolutions(run, azimuth, names, span, points)
+    later = _average_energy(_difference_energy(resampled))
+    margin = 1.0 + SIGNIFICANT_SIGMAS * float(np.sqrt(2.0 / (SMOOTHING_REVOLUTIONS * points)))
+    largest: Array = margin * _steady_energy(later, resampled[0])
+    steady = _first_steady(largest, run, azimuth, names, last, points)
+    first = last if steady is None else steady
+    worst = ""
+    if first:
+        (energy,) = _average_differences(run, azimuth, names, (first - 1, first), points)
+        worst = names[int(np.argmax(energy / largest))]
+    return TransientEnd(first, float(azimuth.time_of(np.array(first))), steady is not None, worst)
+
+
+def _first_steady(
+    limit: Array, run: Run, azimuth: Azimuth, names: tuple[str, ...], last: int, points: int
+) -> int | None:
+    """Return the first revolution up to `last` in which no energy exceeds its limit (c,), None without any."""
+    for begin in range(0, last + 1, EXAMINED_REVOLUTIONS):
+        span = (begin, min(begin + EXAMINED_REVOLUTIONS, last + 1))
+        energy = _average_differences(run, azimuth, names, span, points)
+        steady = np.flatnonzero(np.all(energy <= limit, axis=1))
+        if steady.size:
+            return begin + int(steady[0])
+    return None
+
+
+def _average_differences(
+    run: Run, azimuth: Azimuth, names: tuple[str, ...], span: tuple[int, int], points: int
+) -> Array:
+    """Return the mean energy (r, c) of the differences from each revolution of a span on."""
+    needed = (span[0], span[1] + MAX_LAG + SMOOTHING_REVOLUTIONS - 1)
+    return _average_energy(_difference_energy(_resample_revolutions(run, azimuth, names, needed, points)))
 
 
 def _revolution_starts(azimuth: Azimuth) -> Array:
@@ -136,12 +160,12 @@ def _spline_matrix(position: Array, samples: int) -> csr_array:
     return csr_array(((pieces @ influence).ravel(), index.ravel(), starts), shape=(len(position), samples))
 
 
-def _difference_energy(run: Run, azimuth: Azimuth, names: tuple[str, ...], span: tuple[int, int], points: int) -> Array:
-    """Return the mean squares (revolutions - MAX_LAG, c) of differences at `COMPARED_LAGS`, summed over the lags."""
-    x = _resample_revolutions(run, azimuth, names, span, points)
+def _difference_energy(x: Array) -> Array:
+    """Return the mean squares (r - MAX_LAG, c) of differences of r revolutions (r, points, c), summed over the lags."""
     rows = len(x) - MAX_LAG
-    differences = [np.mean((x[lag : lag + rows] - x[:rows]) ** 2, axis=1) for lag in COMPARED_LAGS]
-    return np.asarray(sum(differences))
+    differences = (x[lag : lag + rows] - x[:rows] for lag in COMPARED_LAGS)
+    squares = [np.einsum("rpc,rpc->rc", difference, difference) for difference in differences]
+    return np.asarray(sum(squares) / x.shape[1])
 
 
 def _average_energy(energy: Array) -> Array:
@@ -150,8 +174,10 @@ def _average_energy(energy: Array) -> Array:
     return np.asarray(window.mean(axis=-1))
 
 
-def _steady_energy(later: Array, run: Run, azimuth: Azimuth, names: tuple[str, ...], last: int) -> Array:
-    """Return the energy (c,) of the steady part, a quantile of those late in the record."""
-    signal = _resample_revolutions(run, azimuth, names, (last, last + 1), _points_per_revolution(run, azimuth))[0]
+def _steady_energy(later: Array, signal: Array) -> Array:
+    """Return the energy (c,) of the steady part, a quantile of those late in the record.
+
+    `signal` (points, c) is a revolution of it, to whose size the least energy is relative.
+    """
     floor = (MIN_RELATIVE_NOISE * np.std(signal, axis=0)) ** 2 + np.finfo(float).tiny
     return np.asarray(np.maximum(np.quantile(later, STEADY_QUANTILE, axis=0), floor))

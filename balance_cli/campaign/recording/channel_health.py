@@ -13,13 +13,15 @@ dead and clipped channels therefore compare a channel with itself.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from balance_cli.campaign.recording.outer_values import EXTREME_VALUES, Integers, merge_extremes, outer_values
-from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, Run, pick_channels
+from balance_cli.campaign.recording.channel_statistics import ChannelStatistics, gather_statistics
+from balance_cli.campaign.recording.outer_values import EXTREME_VALUES, Integers
+from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -78,7 +80,7 @@ def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
     present = [channel for channel in declared if channel.name in run.channel_names]
     driving_loads = {channel.name: _loads_through_channel(channel, geometry) for channel in present}
     faults = channel_faults(run, {channel.name: channel.range for channel in present}, driving_loads)
-    absent = {channel.name: "absent from the run" for channel in declared if channel not in present}
+    absent = {channel.name: "absent from the run" for channel in declared if channel.name not in run.channel_names}
     left_out = {channel.name: {**faults, **absent}.get(channel.name, "") for channel in declared}
     live = tuple(name for name, reason in left_out.items() if not reason)
     return ChannelHealth(live, {name: reason for name, reason in left_out.items() if reason})
@@ -93,7 +95,7 @@ def channel_faults(
     `driving_loads` maps it to the loads that reach the channel (default: all): in a static run a channel may be
     constant as long as these are.
     """
-    records = dict(zip(ranges, _gather_statistics(run, list(ranges)), strict=True))
+    records = dict(zip(ranges, gather_statistics(run, list(ranges)), strict=True))
     faults = {}
     for name, record in records.items():
         record.periods = _whole_periods(run)
@@ -116,7 +118,7 @@ def _loads_through_channel(channel: Channel, geometry: Geometry) -> tuple[str, .
     return tuple(name for name in COMPONENTS if name not in beside)
 
 
-def _may_be_constant(run: Run, record: _ChannelStatistics, components: tuple[str, ...]) -> bool:
+def _may_be_constant(run: Run, record: ChannelStatistics, components: tuple[str, ...]) -> bool:
     """Whether the loads that reach a channel are constant, or have hardly begun, during its longest flatline."""
     length = record.flatline_length
     if run.kind != "static":
@@ -135,104 +137,10 @@ def _begins_at_rest(run: Run, samples: int) -> bool:
     return bool(np.all(np.max(np.abs(first), axis=0) <= REST_SHARE * np.max(sizes, axis=0)))
 
 
-# ---- statistics of a channel -----------------------------------------------------------------------------------------
-
-
-@dataclass
-class _ChannelStatistics:
-    """Statistics of one channel, gathered in one pass.
-
-    `lowest` and `highest` are the distinct values nearest either end, outermost first, with the number of times that
-    each occurs. `current_start` is the first sample of the flatline that is still open.
-    """
-
-    samples: int = 0
-    nonfinite_count: int = 0
-    first_nonfinite: int = -1
-    repeated_count: int = 0
-    flatline_length: int = 0
-    flatline_start: int = 0
-    flatline_value: float = np.nan
-    lowest: tuple[Array, Integers] = (np.empty(0), np.empty(0, np.int64))
-    highest: tuple[Array, Integers] = (np.empty(0), np.empty(0, np.int64))
-    turning_points: int = 0
-    current_start: int = 0
-    last: float = np.nan
-    last_direction: float = 0.0
-    periods: int = 0
-
-    def add(self, values: Array) -> None:
-        """Add the next samples of the channel."""
-        finite = np.isfinite(values)
-        if not finite.all():
-            if not self.nonfinite_count:
-                self.first_nonfinite = self.samples + int(np.argmin(finite))
-            self.nonfinite_count += int((~finite).sum())
-        if finite.all() and values[0] != self.last and np.all(values[1:] != values[:-1]):
-            self._add_varying(values)
-        else:
-            self._add_flatlines(values)
-        self._add_extremes(values if finite.all() else values[finite])
-        self.samples += len(values)
-
-    def _add_varying(self, values: Array) -> None:
-        """Samples without equal neighbors, as in most records: the general case takes four times as long."""
-        if not self.flatline_length:
-            self.flatline_length, self.flatline_start, self.flatline_value = 1, self.samples, float(values[0])
-        falls = np.r_[self.last, values[:-1]] > values
-        first = 1 if np.isnan(self.last) else 0
-        turns = int(np.count_nonzero(falls[first + 1 :] != falls[first:-1]))
-        if self.last_direction and len(falls) > first:
-            turns += int((self.last_direction < 0) != falls[first])
-        self.turning_points += turns
-        if len(falls) > first:
-            self.last_direction = -1.0 if falls[-1] else 1.0
-        self.current_start, self.last = self.samples + len(values) - 1, float(values[-1])
-
-    def _add_flatlines(self, values: Array) -> None:
-        """Flatlines; the one still open at the end of the last block is continued."""
-        new = np.r_[values[0] != self.last, values[1:] != values[:-1]]
-        self.repeated_count += int((~new).sum())
-        starts = self.samples + np.flatnonzero(new)
-        if not new[0]:
-            starts = np.r_[self.current_start, starts]
-        lengths = np.diff(np.r_[starts, self.samples + len(values)])
-        longest = int(np.argmax(lengths))
-        if lengths[longest] > self.flatline_length:
-            self.flatline_length, self.flatline_start = int(lengths[longest]), int(starts[longest])
-            self.flatline_value = float(values[max(self.flatline_start - self.samples, 0)])
-        with np.errstate(invalid="ignore", over="ignore"):
-            steps = np.diff(np.r_[self.last, values])
-        self._add_turning_points(steps)
-        self.current_start, self.last = int(starts[-1]), float(values[-1])
-
-    def _add_turning_points(self, steps: Array) -> None:
-        """Turning points: steps against the direction of the step before, flatlines skipped."""
-        directions = np.r_[self.last_direction, np.sign(steps[np.isfinite(steps) & (steps != 0.0)])]
-        self.turning_points += int((directions[1:] * directions[:-1] < 0).sum())
-        self.last_direction = float(directions[-1])
-
-    def _add_extremes(self, values: Array) -> None:
-        new_values, counts = outer_values(values)
-        self.lowest = merge_extremes(*self.lowest, new_values[:EXTREME_VALUES], counts[:EXTREME_VALUES])
-        self.highest = merge_extremes(
-            *self.highest, new_values[-EXTREME_VALUES:], counts[-EXTREME_VALUES:], highest=True
-        )
-
-
-def _gather_statistics(run: Run, names: list[str]) -> list[_ChannelStatistics]:
-    records = [_ChannelStatistics() for _ in names]
-    for block in run.blocks():
-        samples = np.ascontiguousarray(pick_channels(block.channels, run.channel_names, names).T)
-        for record, values in zip(records, samples, strict=True):
-            record.add(values)
-    return records
-
-
 # ---- faults ----------------------------------------------------------------------------------------------------------
 
 
-def _channel_fault(record: _ChannelStatistics, limit: float | None, may_be_constant: bool) -> str:
+def _channel_fault(record: ChannelStatistics, limit: float | None, may_be_constant: bool) -> str:
     """Why a channel cannot be used; empty where it can."""
     fault = _nonfinite_fault(record) or _magnitude_fault(record)
     if may_be_constant:
@@ -240,14 +148,14 @@ def _channel_fault(record: _ChannelStatistics, limit: float | None, may_be_const
     return fault or _constant_fault(record) or _clipping_fault(record, limit) or _flatline_fault(record)
 
 
-def _nonfinite_fault(record: _ChannelStatistics) -> str:
+def _nonfinite_fault(record: ChannelStatistics) -> str:
     if not record.nonfinite_count:
         return ""
     share = f"{record.nonfinite_count} of {record.samples} samples"
     return f"not finite: {share}, the first is sample {record.first_nonfinite}, more than can be bridged"
 
 
-def _magnitude_fault(record: _ChannelStatistics) -> str:
+def _magnitude_fault(record: ChannelStatistics) -> str:
     extremes = [float(values[0]) for values, _ in (record.lowest, record.highest) if len(values)]
     peak = max(extremes, key=abs, default=0.0)
     if 0.0 < abs(peak) < SMALLEST_PEAK:
@@ -255,32 +163,32 @@ def _magnitude_fault(record: _ChannelStatistics) -> str:
     return f"not plausible: reaches {peak:.6g} V" if abs(peak) > LARGEST_MAGNITUDE else ""
 
 
-def _constant_fault(record: _ChannelStatistics) -> str:
+def _constant_fault(record: ChannelStatistics) -> str:
     constant = record.samples >= LEAST_SAMPLES and record.flatline_length == record.samples
     return f"dead: constant at {record.flatline_value:.6g} V" if constant else ""
 
 
-def _flatline_fault(record: _ChannelStatistics) -> str:
+def _flatline_fault(record: ChannelStatistics) -> str:
     if not _has_flatline(record):
         return ""
     first, last = record.flatline_start, record.flatline_start + record.flatline_length - 1
     return f"dead for part of the record: constant at {record.flatline_value:.6g} V from sample {first} to {last}"
 
 
-def _has_flatline(record: _ChannelStatistics) -> bool:
+def _has_flatline(record: ChannelStatistics) -> bool:
     return record.samples >= LEAST_SAMPLES and record.flatline_length > _longest_plausible_flatline(record)
 
 
-def _longest_plausible_flatline(record: _ChannelStatistics) -> float:
+def _longest_plausible_flatline(record: ChannelStatistics) -> float:
     """Samples; at most half the record, since a channel that is constant for most of it measures nothing either."""
-    share = np.clip(record.repeated_count / (record.samples - 1), 1e-9, 1.0 - 1e-9)
-    expected = np.log(record.samples) / -np.log(share)
+    share = min(max(record.repeated_count / (record.samples - 1), 1e-9), 1.0 - 1e-9)
+    expected = math.log(record.samples) / -math.log(share)
     interval = record.samples / (record.turning_points + 1)
     plausible = max(FLATLINE_FACTOR * expected, PEAK_DWELL_FACTOR * interval)
-    return float(max(LEAST_FLATLINE, min(plausible, record.samples / 2)))
+    return max(LEAST_FLATLINE, min(plausible, record.samples / 2))
 
 
-def _clipping_fault(record: _ChannelStatistics, limit: float | None) -> str:
+def _clipping_fault(record: ChannelStatistics, limit: float | None) -> str:
     for values, counts in (record.lowest, record.highest):
         extreme, times = float(values[0]), int(counts[0])
         if limit is not None and abs(extreme) >= AT_RANGE * limit:
@@ -291,7 +199,7 @@ def _clipping_fault(record: _ChannelStatistics, limit: float | None) -> str:
     return ""
 
 
-def _is_clipping_plateau(record: _ChannelStatistics, extreme: float, counts: Integers) -> bool:
+def _is_clipping_plateau(record: ChannelStatistics, extreme: float, counts: Integers) -> bool:
     """Whether the extreme (first count) stands out among its neighbors, in a channel of enough distinct values."""
     if len(counts) < EXTREME_VALUES or record.highest[0][-1] <= record.lowest[0][-1]:
         return False

@@ -13,8 +13,9 @@ EXTREME_VALUES = 8
 OUTER_SAMPLES = 128
 """Records of more than four times as many samples have their distinct values sought among the outermost samples first;
 twice as many, evenly spaced, tell where these begin."""
-OUTER_RANK = 4
-"""Rank among these few, from either end, of the bound: a sixtieth of the samples lies beyond it."""
+OUTER_RANK = 2
+"""Rank among these few, from either end, of the bound: a ninetieth of the samples lies beyond it, and once in several
+thousand records fewer than eight of 24000."""
 
 
 def outer_values(values: Array) -> tuple[Array, Integers]:
@@ -25,10 +26,17 @@ def outer_values(values: Array) -> tuple[Array, Integers]:
     if len(values) > 4 * OUTER_SAMPLES:
         few = np.sort(values[:: len(values) // (2 * OUTER_SAMPLES)])
         low, high = few[OUTER_RANK], few[-1 - OUTER_RANK]
-        ends = [np.unique(part, return_counts=True) for part in (values[values <= low], values[values >= high])]
+        ends = [_distinct_values(part) for part in (values[values <= low], values[values >= high])]
         if low < high and all(len(distinct) >= EXTREME_VALUES for distinct, _ in ends):
             return np.concatenate([ends[0][0], ends[1][0]]), np.concatenate([ends[0][1], ends[1][1]])
     return np.unique(values, return_counts=True)
+
+
+def _distinct_values(values: Array) -> tuple[Array, Integers]:
+    """Return the distinct ones of at least one value, and how often each occurs, as numpy does in twice the time."""
+    values.sort()
+    starts = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
+    return values[starts], np.diff(starts, append=len(values))
 
 
 def merge_extremes(

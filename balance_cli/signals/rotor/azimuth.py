@@ -39,6 +39,8 @@ FEWEST_SMOOTHED = 1.5
 """Revolutions over which pulses must be averaged for smoothing to be worthwhile."""
 CONVERGED_STEP = 1e-9
 """Revolutions of a step of Newton's method after which the error is that of rounding."""
+MOST_KEPT = 2**20
+"""Samples whose azimuth and speed are kept, 16 MB; those of longer records are computed where they are asked for."""
 MEDIAN_INTERVALS = 9
 """Intervals of the running median of the revolution time: it is not affected by four bad ones."""
 
@@ -63,6 +65,7 @@ class Azimuth:
     notes: tuple[str, ...] = ()
     pulse_scatter: float = 0.0
     local_error: float = 0.0
+    _kept: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def revolution_count(self) -> PPoly:
@@ -104,6 +107,20 @@ class Azimuth:
     def speed(self, time: ArrayLike) -> Array:
         """Return the rotor speed [Hz] at `time` [s], NaN outside the pulses."""
         return self._evaluate_within_pulses(time, self.speed_curve)
+
+    def of_samples(self, rate: float, start: int, stop: int) -> tuple[Array, Array]:
+        """Return azimuth [rad] and speed [Hz] of samples, at most MOST_KEPT kept; beyond the pulses as at the nearest."""
+        count = max(stop, int(self.last * rate) + 2)
+        if count > MOST_KEPT:
+            return self._evaluate_samples(np.arange(start, stop), rate)
+        if rate not in self._kept or len(self._kept[rate][0]) < count:
+            self._kept[rate] = self._evaluate_samples(np.arange(count), rate)
+        psi, speed = self._kept[rate]
+        return psi[start:stop], speed[start:stop]
+
+    def _evaluate_samples(self, index: Integers, rate: float) -> tuple[Array, Array]:
+        inside = np.clip(index / rate, self.first, self.last)
+        return 2.0 * np.pi * self.revolution_count(inside), self.speed_curve(inside)
 
     def extrapolated_count(self, time: ArrayLike) -> Array:
         """Return the revolutions since the first pulse at any `time` [s]; the speed is constant outside the pulses."""
@@ -276,7 +293,7 @@ def _missing_pulse_notes(times: Array, counts: Integers, mistimed: list[float]) 
 def _check_forward_rotation(azimuth: Azimuth) -> None:
     """Raise UserError where the curve through the pulses would turn the rotor backward."""
     grid = azimuth.pulse_times[:-1, None] + np.diff(azimuth.pulse_times)[:, None] * np.linspace(0.0, 1.0, 5)
-    speed = azimuth.speed(grid)
+    speed = azimuth.speed_curve(grid)
     if np.any(speed <= 0.0):
         at = float(grid.ravel()[int(np.argmin(speed))])
         raise UserError(f"the pulses near {at:.4f} s would turn the rotor backward", "", PULSE_DATASET, PULSE_REMEDY)

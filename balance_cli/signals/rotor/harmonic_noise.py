@@ -52,7 +52,8 @@ LINE_CORRELATION_SUM = 2.27
 def blackman_taper(fraction: Array) -> Array:
     """Return Blackman's taper at `fraction` of the record, 0 to 1."""
     a0, a1, a2 = BLACKMAN_COEFFICIENTS
-    return a0 - a1 * np.cos(2 * np.pi * fraction) + a2 * np.cos(4 * np.pi * fraction)
+    cosine = np.cos(2 * np.pi * fraction)
+    return np.asarray((a0 - a2) + cosine * (2.0 * a2 * cosine - a1))  # cos(2 x) = 2 cos(x)^2 - 1
 
 
 def line_offsets(revolutions: int) -> Array:
@@ -123,8 +124,11 @@ def _outlier_lines(power: Array) -> Flags:
     before[..., few, :] = _medians_of_first(power[..., :COMPARISON_LINES, :], line[few] - 2)
     before[..., : COMPARISON_LINES // 2, :] = np.inf
     outliers = np.any(power > limit * np.minimum(beyond, before), axis=-1)
-    spread = np.pad(outliers, [(0, 0)] * (outliers.ndim - 1) + [(2, 2)])
-    return np.asarray(np.any([spread[..., shift : shift + count] for shift in range(5)], axis=0))
+    spread = outliers.copy()
+    for shift in (1, 2):
+        spread[..., shift:] |= outliers[..., :-shift]
+        spread[..., :-shift] |= outliers[..., shift:]
+    return np.asarray(spread, bool)
 
 
 def _medians_of_first(power: Array, counts: Integers) -> Array:

@@ -87,7 +87,7 @@ class Harmonics:
 
 @dataclass(frozen=True)
 class _AzimuthBlock:
-    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight, `other` (m, e), signals (m, c).
+    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight, `other` (e, m), signals (m, c).
 
     `turns` is the number of revolutions of the interval.
     """
@@ -177,7 +177,10 @@ def edge_weight(revolution: Array, first: int, last: int) -> Array:
     """Return the weight of the regression at a revolution count from `first` to `last`; it is 1 except at the ends."""
     edge = min(float(EDGE_REVOLUTIONS), (last - first) / 4)
     u = np.clip(np.minimum(revolution - first, last - revolution) / edge, 0.0, 1.0)
-    return np.asarray(u**3 * np.polyval(EDGE_POLYNOMIAL[::-1], u))
+    weight = np.ones_like(u)
+    rising = u < 1.0
+    weight[rising] = u[rising] ** 3 * np.polyval(EDGE_POLYNOMIAL[::-1], u[rising])
+    return weight
 
 
 def _signal_names(run: Run) -> tuple[str, ...]:
@@ -212,12 +215,12 @@ def _weighted_blocks(
     for low in range(begin, stop, block):
         high = min(low + block, stop)
         signals = _read_signals(run, names, low, high)
+        psi, speed = azimuth.of_samples(run.sample_rate, low, high)
         time = np.clip(np.arange(low, high) / run.sample_rate, azimuth.first, azimuth.last)
-        psi = azimuth.psi(time)
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
         weight = edge_weight(revolution, first, last)
-        yield _AzimuthBlock(psi, azimuth.speed(time), fraction, weight, other.basis(time), signals, last - first)
+        yield _AzimuthBlock(psi, speed, fraction, weight, other.basis(time), signals, last - first)
 
 
 def _sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
@@ -252,16 +255,18 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     """
     w, F, c = samples.weight, fitted_count, samples.signals.shape[1]
     basis = trigonometric_basis(samples.psi, F, samples.other)
-    columns = np.empty((len(w), c + 3))
-    np.multiply(samples.signals, w[:, None], out=columns[:, :c])
-    columns[:, c], columns[:, c + 1], columns[:, c + 2] = w, basis[F] * w, basis[2 * F] * w
-    products = basis @ columns
-    sums.moment += products[:, :c]
-    constant, cosine, sine = products[: 2 * F + 1, c:].T
+    weighted = np.empty((c + 3 + len(samples.other), len(w)))
+    np.multiply(samples.signals.T, w, out=weighted[:c])
+    weighted[c] = w
+    np.multiply(basis[F : 2 * F + 1 : max(F, 1)], w, out=weighted[c + 1 : c + 3])
+    np.multiply(basis[2 * F + 1 :], w, out=weighted[c + 3 :])
+    products = weighted @ basis.T
+    sums.moment += products[:c].T
+    constant, cosine, sine = products[c : c + 3, : 2 * F + 1]
     sums.turning[: F + 1] += constant[: F + 1]
     sums.turning[1 : F + 1] += 1j * constant[F + 1 :]
     sums.turning[F + 1 :] += cosine[1 : F + 1] - sine[F + 1 :] + 1j * (sine[1 : F + 1] + cosine[F + 1 :])
-    sums.border += (basis[2 * F + 1 :] * w) @ basis.T
+    sums.border += products[c + 3 :]
     q = blackman_taper(samples.fraction) * samples.speed
     sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), samples.signals * q[:, None])
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]

@@ -50,11 +50,11 @@ class LineSums:
         position = fraction * len(self._grid)
         first = np.ceil(position - KERNEL_WIDTH / 2).astype(np.int64)
         spread = _spreading_matrix(position, first)
-        index = (int(first[0]) + np.arange(spread.shape[1])) % len(self._grid)
-        part = spread.T @ values
-        for begin in range(0, len(index), len(self._grid)):  # a block may go round the whole grid
-            stop = begin + len(self._grid)
-            self._grid[index[begin:stop]] += part[begin:stop]
+        part, place, begin = spread.T @ values, int(first[0]) % len(self._grid), 0
+        while begin < len(part):  # a block may go round the whole grid
+            count = min(len(part) - begin, len(self._grid) - place)
+            self._grid[place : place + count] += part[begin : begin + count]
+            place, begin = 0, begin + count
 
     def at(self, lines: Integers) -> ComplexArray:
         """Return the sums (..., columns) at whole numbers j."""
@@ -123,15 +123,15 @@ def unit_powers(angle: Array, highest: int) -> ComplexArray:
 
 
 def trigonometric_basis(angle: Array, highest: int, further: Array | None = None) -> Array:
-    """Return cos(0 .. F angle), sin(1 .. F angle) for F = `highest`, as `unit_powers` does, and `further` (m, e).
+    """Return cos(0 .. F angle), sin(1 .. F angle) for F = `highest`, as `unit_powers` does, and `further` (e, m).
 
     The rows (2 F + 1 + e, m) are the columns of a regression.
     """
-    count = 0 if further is None else further.shape[1]
+    count = 0 if further is None else len(further)
     basis = np.empty((2 * highest + 1 + count, len(angle)))
     basis[0] = 1.0
     if further is not None:
-        basis[2 * highest + 1 :] = further.T
+        basis[2 * highest + 1 :] = further
     cosine, sine = basis[: highest + 1], basis[highest : 2 * highest + 1]  # sine[k] from k = 1 on
     if highest:
         np.cos(angle, out=cosine[1])

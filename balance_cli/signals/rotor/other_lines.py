@@ -36,13 +36,18 @@ class OtherLines:
         return 2 * (len(self.frequencies) + len(self.exponents))
 
     def basis(self, time: Array) -> Array:
-        """Return cosines and sines (m, columns) at `time` (m,) [s]; a decay has its first value before its start."""
-        angle = 2.0 * np.pi * np.outer(time, self.frequencies)
+        """Return cosines and sines (columns, m) at `time` (m,) [s]; a decay has its first value before its start."""
+        count, tones = len(self.exponents), len(self.frequencies)
+        basis = np.empty((self.columns, len(time)))
+        angle = 2.0 * np.pi * np.outer(self.frequencies, time)
+        np.cos(angle, out=basis[:tones])
+        np.sin(angle, out=basis[tones : 2 * tones])
         decays = self._decays(np.maximum(time - self.start, 0.0))
-        return np.hstack([np.cos(angle), np.sin(angle), decays.real, decays.imag])
+        basis[2 * tones : 2 * tones + count], basis[2 * tones + count :] = decays.real, decays.imag
+        return basis
 
     def _decays(self, time: Array) -> ComplexArray:
-        """Return exp(s t) (m, exponents) at ascending times (m,).
+        """Return exp(s t) (exponents, m) at ascending times (m,).
 
         At even steps each is the product of two, that of its block of STRIDE samples and that of its place there, which
         takes a tenth of the time of so many exponentials. Where the steps differ, each is computed.
@@ -51,10 +56,12 @@ class OtherLines:
         heads, even = time[: blocks * STRIDE : STRIDE], time[: blocks * STRIDE].reshape(-1, STRIDE)
         steps = even[-1] - even[-1, 0] if blocks else np.zeros(0)
         if not len(s) or not blocks or np.abs(even - heads[:, None] - steps).max() > UNEVEN:
-            return np.asarray(np.exp(np.outer(time, s)))
-        product = np.exp(np.outer(heads, s))[:, None] * np.exp(np.outer(steps, s))
-        rest = np.exp(np.outer(time[blocks * STRIDE :], s))
-        return np.concatenate([product.reshape(-1, len(s)), rest])
+            return np.asarray(np.exp(np.outer(s, time)))
+        decays = np.empty((len(s), len(time)), complex)
+        product = decays[:, : blocks * STRIDE].reshape(len(s), blocks, STRIDE)
+        np.multiply(np.exp(np.outer(s, heads))[:, :, None], np.exp(np.outer(s, steps))[:, None, :], out=product)
+        decays[:, blocks * STRIDE :] = np.exp(np.outer(s, time[blocks * STRIDE :]))
+        return decays
 
 
 NO_OTHER_LINES = OtherLines()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 from scipy.ndimage import maximum_filter1d
 
-from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.io.errors import UserError
 from balance_cli.signals.amplitude_spectrum import normalize_channels
 from balance_cli.signals.rotor.spectral_floor import spectral_floor
@@ -146,7 +146,7 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
     samples = last - first
     if samples < 64:
         return np.zeros(0), np.zeros(0), 1.0
-    values = read_channels(run, run.channel_names, first, last)
+    values = read_channel_rows(run, run.channel_names, first, last)
     if not np.isfinite(values).all():
         values = np.where(np.isfinite(values), values, 0.0)
     windowed, _ = normalize_channels(values)

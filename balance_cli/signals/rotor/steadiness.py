@@ -76,8 +76,8 @@ def windowed_amplitudes(
     assert run.sample_rate is not None
     times = azimuth.time_of(edges)
     samples = np.ceil(times * run.sample_rate).astype(int)
-    time = np.clip(np.arange(samples[0], samples[-1]) / run.sample_rate, azimuth.first, azimuth.last)
-    basis, signals = trigonometric_basis(azimuth.psi(time), n), read_channels(run, names, samples[0], samples[-1])
+    psi, _ = azimuth.of_samples(run.sample_rate, int(samples[0]), int(samples[-1]))
+    basis, signals = trigonometric_basis(psi, n), read_channels(run, names, samples[0], samples[-1])
     cuts = [slice(a, b) for a, b in pairwise((samples - samples[0]).tolist())]
     empty = np.zeros((0, n + 1, len(names)), complex)
     values = _amplitudes([basis[:, cut] for cut in cuts], [signals[cut] for cut in cuts], n) if cuts else empty

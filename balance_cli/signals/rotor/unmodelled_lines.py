@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.signals.amplitude_spectrum import fast_length, normalize_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.spectral_floor import block_size, spectral_floor
@@ -90,12 +90,12 @@ def unmodelled_lines(
     first, last = _examined_samples(run.sample_rate, interval)
     time = np.arange(first, last) / run.sample_rate
     begin, end = np.searchsorted(time, azimuth.first), np.searchsorted(time, azimuth.last, side="right")
-    time, values = time[begin:end], read_channels(run, names, first, last)[begin:end]
+    time = time[begin:end]
     if len(time) < 256:
         return ()
-    turns = azimuth.psi(time) / (2 * np.pi)
+    turns = azimuth.of_samples(run.sample_rate, first + int(begin), first + int(end))[0] / (2 * np.pi)
     speed = float((turns[-1] - turns[0]) / (time[-1] - time[0]))
-    channels, scale = normalize_channels(values)
+    channels, scale = normalize_channels(read_channel_rows(run, names, first + int(begin), first + int(end)))
     per_turn = (len(turns) - 1) / (turns[-1] - turns[0])
     order, over_azimuth = _spectrum(_resample_evenly(turns, channels), per_turn)
     frequency, over_time = _spectrum(channels, run.sample_rate)
@@ -202,9 +202,10 @@ def _spectrum(channels: Singles, rate: float) -> tuple[Array, Singles]:
 
     channels = channels[:, : fast_length(channels.shape[1])]
     window = _blackman(channels.shape[1])
-    tapered = channels - channels.mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
+    tapered = channels - channels.mean(axis=1, keepdims=True)
     tapered *= window
-    amplitude = np.abs(rfft(tapered, axis=1, overwrite_x=True))
+    spectrum = rfft(tapered, axis=1, overwrite_x=True)
+    amplitude = np.sqrt(spectrum.real**2 + spectrum.imag**2)  # np.abs, safe for values of any size, takes much longer
     amplitude *= np.float32(2.0 / window.sum(dtype=np.float64))
     return np.asarray(np.fft.rfftfreq(channels.shape[1], 1.0 / rate)), amplitude
 
