@@ -120,6 +120,20 @@ class RecordChangeSettings:
 
 
 @dataclass(frozen=True)
+class ZeroDriftSettings:
+    """Means of swept records, run against run."""
+
+    min_runs: int = 4
+    """Runs that a channel must have a mean in: with three, one odd run decides."""
+    min_channels: int = 3
+    """Channels that are tested together: with fewer a force of a cell and a zero look alike."""
+    response_error: float = 0.2
+    """Share by which the static response to a mean load may be wrong before any effect is found."""
+    cell_share: float = 0.5
+    """Share of the scatter above which a rectified motion of one cell describes it: of ten runs chance gives 0.1."""
+
+
+@dataclass(frozen=True)
 class ExclusionSettings:
     """Channels and runs that are left out where no effect describes all data."""
 
@@ -139,4 +153,5 @@ class DataTestSettings:
     run_changes: RunChangeSettings = field(default_factory=RunChangeSettings)
     record_changes: RecordChangeSettings = field(default_factory=RecordChangeSettings)
     mains: MainsDetectionSettings = field(default_factory=MainsDetectionSettings)
+    zero_drift: ZeroDriftSettings = field(default_factory=ZeroDriftSettings)
     exclusions: ExclusionSettings = field(default_factory=ExclusionSettings)

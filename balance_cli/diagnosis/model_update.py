@@ -8,7 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import Trial
+from balance_cli.diagnosis.search.candidates import is_excluded
+from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.initial_candidates import initial_candidates
 from balance_cli.diagnosis.search.refit import SearchState
 from balance_cli.diagnosis.search.search import SearchResult, search
@@ -38,6 +41,7 @@ from balance_cli.estimation.maximum_likelihood import TOLERANCE
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.model_error import add_model_error, estimate_model_error
 from balance_cli.model.balance import BalanceModel
+from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import declared_effects
 
 Array = NDArray[np.float64]
@@ -80,10 +84,14 @@ def update_model(
     theta: Array,
     spectra: Spectra,
     batches: Sequence[Batch],
+    given_labels: Collection[str],
     announce: Announce,
     settings: SearchSettings,
 ) -> UpdateResult:
-    """Return the model `start` with parameters `theta` (p,), updated to describe the spectra."""
+    """Return the model `start` with parameters `theta` (p,), updated to describe the spectra.
+
+    Effects of the start that are not among `given_labels` are shown by the data alone.
+    """
     lines = search_lines(spectra, start.geometry.channel_names, settings.fit)
     announce("search")
     initial_sets = (
@@ -91,8 +99,7 @@ def update_model(
         *spin_candidates(spectra.lines, start.geometry, settings),
     )
     search_result = search(start, theta, lines, announce, initial_sets, settings)
-    given_labels = effect_labels(start)
-    certain_labels = given_labels | {trial.label for trial in search_result.trials if trial.round == 0}
+    certain_labels = effect_labels(start) | {trial.label for trial in search_result.trials if trial.round == 0}
     task = _UpdateTask(start, theta, batches, lines, given_labels, certain_labels, announce, settings)
     update = _test_on_all_lines(task, search_result)
     if update.is_good:
@@ -105,6 +112,22 @@ def update_model(
     if state is None:
         return replace(update, trials=trials)
     return _test_on_all_lines(task, replace(search_result, state=state, trials=trials))
+
+
+def add_zeros(
+    model: BalanceModel, theta: Array, offsets: Mapping[str, float], settings: SearchSettings
+) -> tuple[BalanceModel, Array]:
+    """Return a model with the zeros [V] of channels, by name, that it does not have and that are not excluded."""
+    (name,) = (effect.name for effect in EFFECTS if effect.is_zero_reading)
+    known = {item.where for item in model.geometry.effects if item.name == name}
+    added = tuple(
+        DeclaredEffect(name=name, where=(channel,), parameters={"offset": value})
+        for channel, value in offsets.items()
+        if (channel,) not in known and not is_excluded(name, (channel,), settings.excluded)
+    )
+    if not added:
+        return model, theta
+    return extend_model(model, theta, model.geometry.model_copy(update={"effects": (*model.geometry.effects, *added)}))
 
 
 def _starting_models(task: _UpdateTask, update: UpdateResult) -> list[tuple[BalanceModel, Array]]:

@@ -51,8 +51,11 @@ def effect_worth(
     """Return the worth of an effect of a fit by load component.
 
     None where it cannot be told: without a rotor speed or enough channels, and of effects that are not a part of the
-    linear response, such as offsets, tones and nonlinear forces.
+    linear response, such as offsets of loads, tones and nonlinear forces. The zero of a channel moves no harmonic load
+    of a linear model.
     """
+    if effect.effect.is_zero_reading and not fit.model.system(fit.theta).equations.has_nonlinear_terms:
+        return dict.fromkeys(_swept_components(batches), 0.0)
     harmonics = _harmonics(fit, batches, settings)
     if harmonics is None or effect.effect.needs_mean:
         return None
@@ -79,6 +82,12 @@ def theta_without(fit: Fit, effect: PlacedEffect) -> Array:
     theta = limit_to_bounds(parameters, fit.theta, theta)
     theta[list(null)] = list(null.values())
     return np.asarray(theta)
+
+
+def _swept_components(batches: Sequence[Batch]) -> list[str]:
+    """Names of the loads that the sweeps apply."""
+    applied = [np.unique(batch.lines.components) for batch in batches if not batch.is_static]
+    return [COMPONENTS[j] for j in sorted({int(j) for part in applied for j in part})]
 
 
 def _harmonics(fit: Fit, batches: Sequence[Batch], settings: WorthSettings) -> _Harmonics | None:

@@ -16,12 +16,13 @@ from balance_cli.diagnosis.conclusions import (
 )
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
-from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, model_quality, update_model
+from balance_cli.diagnosis.model_update import UpdateResult, add_zeros, effect_labels, model_quality, update_model
 from balance_cli.diagnosis.residual_map import describe_residual_location, residual_map
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, FoundEffect, LeftOut, ResidualMap
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
@@ -50,11 +51,14 @@ def diagnose(
     """
     _check_inputs(model, spectra)
     announce = _Announcer(progress, settings.time_limit)
-    batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
+    zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)
+    spectra = add_drift_variance(spectra, zeros.drift)
+    start = add_zeros(*before, zeros.offsets, settings)
+    batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
     quality = model_quality(*before, batches)
-    update = update_model(*before, spectra, batches, announce, settings)
-    exclusion = _exclusion(before, spectra, batches, update, announce, settings)
+    update = update_model(*start, spectra, batches, effect_labels(before[0]), announce, settings)
+    exclusion = _exclusion(start, spectra, batches, update, announce, settings)
     if exclusion is not None:
         trials = (*update.trials, *exclusion.update.trials)
         spectra, batches, update = exclusion.spectra, exclusion.batches, replace(exclusion.update, trials=trials)
@@ -72,7 +76,7 @@ def diagnose(
     )
     left_out = None if exclusion is None else exclusion.left_out
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
-    diagnosis = judge_drifts(diagnosis)
+    diagnosis = judge_zero_drift(judge_drifts(diagnosis), zeros.drift)
     if announce.is_over:
         limit = f"the time limit of {settings.time_limit:g} s of computing"
         note = f"{limit} was reached: this is the best model up to then"

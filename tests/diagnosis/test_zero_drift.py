@@ -1,0 +1,118 @@
+"""Zeros of channels: a constant one is of no consequence; one that drifts is named and explains nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.result import NOTHING_MISSING, PARTLY_EXPLAINED
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.diagnosis.zero_drift import ZERO_DRIFT_TEST, Zeros, add_drift_variance, find_zeros, judge_zero_drift
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.model.balance import balance_model
+from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
+from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.identify import identify
+from tests.support.channels import with_channel
+from tests.support.diagnosis_content import diagnosis
+from tests.support.rigs import rotor_balance
+
+RIG = rotor_balance()
+MODEL = balance_model(RIG)
+SYSTEM = MODEL.system(MODEL.parameters.value)
+SETTINGS = DEFAULT_SETTINGS.data_tests
+STRAIN = tuple(name for name in RIG.channel_names if name.endswith("strain"))
+
+
+def campaign(effects=()):
+    sweeps = (
+        SweepPlan(run=f"sweep-{name}-{number}", excited=(name,), level=(level * number,), period=1.0, periods=5)
+        for name, level in HIGH_SWEEP_LEVELS.items()
+        for number in (1, 2)
+    )
+    rig = apply_effects(true_rig(RIG), effects)
+    return simulate_campaign(rig, CampaignPlan(runs=tuple(sweeps)), seed=5).runs
+
+
+def with_zeros(runs, sigma, constant=0.0, channels=STRAIN, seed=2):
+    """The runs with a zero in each channel, of which `sigma` [V] differs from run to run."""
+    rng = np.random.default_rng(seed)
+    shared = {name: constant * rng.normal() for name in channels}
+    changed = []
+    for run in runs:
+        zeros = {name: shared[name] + sigma * rng.normal() for name in channels}
+        for name, zero in zeros.items():
+            run = with_channel(run, name, lambda volts, zero=zero: volts + zero) if run.kind == "sweep" else run
+        changed.append(run)
+    return changed
+
+
+def zeros_of(runs):
+    return find_zeros(SYSTEM, measured_spectra(runs, RIG, means=True), SETTINGS)
+
+
+def drift_of(runs):
+    return zeros_of(runs).drift
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return campaign()
+
+
+def test_zeros_that_stay_drift_nowhere(runs):
+    assert zeros_of(runs) == Zeros({}, None)
+    zeros = zeros_of(with_zeros(runs, 0.0, constant=0.1, seed=3))
+    assert zeros.drift is None
+    true = 0.1 * np.random.default_rng(3).normal(size=len(STRAIN))
+    assert zeros.offsets == pytest.approx(dict(zip(STRAIN, true, strict=True)), abs=1e-3)
+
+
+def test_the_drift_of_every_bridge_or_of_one_is_found_with_its_size(runs):
+    drift = drift_of(with_zeros(runs, 3e-4, constant=0.1))
+    assert set(drift.channels) == set(STRAIN)
+    # Chi-square of eleven values each: the mean square over all bridges is known to about 15 %.
+    assert np.sqrt(np.mean(drift.sigma**2)) == pytest.approx(3e-4, rel=0.4)
+    assert drift.p_value < 1e-6
+    alone = drift_of(with_zeros(runs, 3e-4, channels=("z1.strain",)))
+    assert alone.channels == ("z1.strain",)
+
+
+def test_what_a_quadratic_cell_shifts_is_no_drift():
+    squared = DeclaredEffect(name="quadratic-stiffness", where=("x",), parameters={"k2": 3e9, "side": "beside"})
+    shifted = campaign((squared,))
+    means = measured_spectra(shifted, RIG, means=True).lines
+    assert max(abs(run.channels[run.frequency == 0]).max() for run in means) > 1e-4
+    assert zeros_of(shifted) == Zeros({}, None)
+
+
+def test_the_means_carry_the_variance_of_the_drift_and_no_other_line_does(runs):
+    spectra = measured_spectra(with_zeros(runs, 3e-4), RIG, means=True)
+    drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
+    for old, new in zip(spectra.lines, add_drift_variance(spectra, drift).lines, strict=True):
+        at_rest = old.frequency == 0
+        assert np.array_equal(new.covariance[~at_rest], old.covariance[~at_rest])
+        column = old.channel_names.index(drift.channels[0])
+        before, after = (run.covariance[at_rest, column, column].real for run in (old, new))
+        assert after - before == pytest.approx(4.0 * drift.sigma[0] ** 2)
+
+
+@pytest.mark.parametrize(("ratio", "verdict"), [(0.5, NOTHING_MISSING), (2.0, PARTLY_EXPLAINED)])
+def test_a_drift_matters_beyond_the_scatter_of_static_readings(runs, ratio, verdict):
+    drift = drift_of(with_zeros(runs, 3e-4))
+    drift = replace(drift, static_sigma=drift.sigma / ratio)
+    judged = judge_zero_drift(replace(diagnosis(), verdict=NOTHING_MISSING), drift)
+    assert judged.verdict == verdict
+    assert judged.data_tests[-1].name == ZERO_DRIFT_TEST
+    assert drift.channels[0] in judged.notes[-1]
+
+
+def test_everyday_zeros_leave_the_verdict_of_a_sound_rig(runs):
+    zeros = measured_spectra(with_zeros(runs, 0.0, constant=0.02), RIG, means=True)
+    result, _ = diagnose(identify(zeros, RIG), zeros)
+    assert result.verdict == NOTHING_MISSING
+    assert {effect.label for effect in result.effects} == {f"channel-offset@{name}" for name in STRAIN}
+    assert all(effect.is_of_no_consequence for effect in result.effects)
