@@ -210,12 +210,10 @@ def _prediction_ratio(points: CalibrationPoints, fit: CalibrationModelFit, rows:
     """Largest error of some rows (m,) of which the fit knows nothing, over its sigma; 0 for the others."""
     errors = _errors_without(points, fit, rows)
     used = (points.weight > 0) & ~rows
-    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used)
+    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used, points.x)
     known = np.where(rows[:, None], np.sqrt(points.weight)[:, None] * errors, 0.0)
-    at = np.searchsorted(np.unique(points.load_series), points.load_series)
-    series_sigma = np.stack([sigma[(points.load_series == name)].max(axis=0) for name in np.unique(points.load_series)])
     extrapolated = np.sqrt(fit.model.model_covariance(points.loads).diagonal(axis1=1, axis2=2))
-    return np.asarray(np.max(np.abs(known) / np.hypot(series_sigma[at], extrapolated), axis=1))
+    return np.asarray(np.max(np.abs(known) / np.hypot(sigma, extrapolated), axis=1))
 
 
 def _errors_without(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> Array:
@@ -245,7 +243,7 @@ def _largest_outlier(points: CalibrationPoints, fit: CalibrationModelFit) -> int
     """The row with the largest error when predicted by all others; None if it is not significant."""
     used = points.weight > 0
     scaled = fit.press * np.sqrt(points.weight)[:, None]
-    sigma = robust_row_sigma(scaled, points.load_series, used)
+    sigma = robust_row_sigma(scaled, points.load_series, used, points.x)
     ratio = np.max(np.where(used[:, None], np.abs(scaled) / sigma, 0.0), axis=1)
     row = int(np.argmax(ratio))
     return row if ratio[row] > _limit(points, fit) else None
@@ -257,12 +255,11 @@ def describe_outliers(points: CalibrationPoints, fit: CalibrationModelFit, exclu
         return ()
     errors = _errors_without(points, fit, excluded)
     used = (points.weight > 0) & ~excluded
-    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used)
-    common = np.where(np.isfinite(sigma), sigma, np.nanmedian(sigma[used], axis=0))
+    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used, points.x)
     partner = exchanged_rows(points, fit, excluded)
     outliers = []
     for row in np.flatnonzero(excluded).tolist():
-        ratio = np.abs(errors[row]) * np.sqrt(points.weight[row]) / common[row]
+        ratio = np.abs(errors[row]) * np.sqrt(points.weight[row]) / sigma[row]
         c = int(np.argmax(ratio))
         outlier = Outlier(
             run=points.run_names[int(points.run[row])],

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
+
+from balance_cli.calibration.noise import APPLIED_SHARE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -24,24 +29,41 @@ def robust_sigma(errors: Array) -> Array:
     return np.asarray(np.maximum(1.4826 * median(np.abs(errors), axis=0), np.finfo(float).tiny))
 
 
-def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_]) -> Array:
+def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_], x: Array) -> Array:
     """Robust standard deviation (m, c) of the errors of each row: that of all rows or, if larger, of its load series.
 
     In a short load series an outlier hides in the scale of the series. That scale is therefore limited by the others'.
+    A dozen rows tell their own scale to a quarter, and may be quiet by chance: series in which the same of the loads
+    x (m, k), in units of the calibrated range, vary have the noise of these loads in common, and none has less than
+    all of them together. Rows that are not `used` have the scale of their series.
     """
     used = used & np.asarray(np.isfinite(errors).all(axis=1))
     common = robust_sigma(errors[used])
-    names = np.unique(load_series[used])
-    own = {name: _series_sigma(errors[(load_series == name) & used]) for name in names.tolist()}
+    members = {name: np.flatnonzero((load_series == name) & used) for name in np.unique(load_series[used]).tolist()}
+    # An outlier shifts the zero of its load series, and with it the errors of all other rows.
+    centered = {name: errors[rows] - np.median(errors[rows], axis=0) for name, rows in members.items()}
+    own = {name: robust_sigma(values) for name, values in centered.items()}
     limit = MAX_SHORT_SERIES_RATIO * np.maximum(np.median(list(own.values()), axis=0), common)
+    shared = _sigma_by_varied_loads({name: x[rows] for name, rows in members.items()}, centered)
     sigma = np.tile(common, (len(errors), 1))
-    for name, scale in own.items():
-        rows = (load_series == name) & used
-        bounded = scale if np.count_nonzero(rows) >= MIN_OWN_SCALE_ROWS else np.minimum(scale, limit)
-        sigma[rows] = np.maximum(common, bounded)
+    for name, rows in members.items():
+        scale = np.maximum(own[name], shared[name])
+        bounded = scale if len(rows) >= MIN_OWN_SCALE_ROWS else np.minimum(scale, limit)
+        sigma[load_series == name] = np.maximum(common, bounded)
     return sigma
 
 
-def _series_sigma(errors: Array) -> Array:
-    # An outlier shifts the zero of its load series, and with it the errors of all other rows.
-    return robust_sigma(errors - np.median(errors, axis=0))
+def _sigma_by_varied_loads(x: Mapping[int, Array], centered: Mapping[int, Array]) -> dict[int, Array]:
+    """Robust standard deviation (c,) of the errors of all load series in which the same loads vary, by series.
+
+    The rows of a series at which its load is off say nothing of the noise of that load; they are left out.
+    """
+    varied = {name: np.ptp(values, axis=0) > APPLIED_SHARE for name, values in x.items()}
+    alike = defaultdict(list)
+    for name, values in x.items():
+        changes = np.abs(values - values[np.argmin(np.abs(values), axis=0), np.arange(values.shape[1])])
+        applied = np.any(changes[:, varied[name]] > APPLIED_SHARE, axis=1)
+        alike[varied[name].tobytes()].append(centered[name][applied])
+    sigma = {key: robust_sigma(np.concatenate(parts)) for key, parts in alike.items() if any(map(len, parts))}
+    none = np.zeros(next(iter(centered.values())).shape[1])
+    return {name: sigma.get(of_series.tobytes(), none) for name, of_series in varied.items()}
