@@ -1,9 +1,10 @@
 """Text tables as laboratories write them: separators, decimal commas, comments, title lines, units in the head.
 
 The separator is a tab, `;`, `|`, a comma or white space, whichever splits the lines into the same number of columns.
-Lines that begin with `#`, `%` or `//` are comments. The head is the line above the first line of numbers; a line of
-units, or the heading of a block, may stand between them. Lines above the head are titles. A head that is repeated
-within the table is left out; so are lines without numbers, and rows of statistics, which are listed.
+Where none does, numbers alone on their lines are a table of one column. Lines that begin with `#`, `%` or `//` are
+comments. The head is the line above the first line of numbers; a line of units, or the heading of a block, may stand
+between them. Lines above the head are titles. A head that is repeated within the table is left out; so are lines
+without numbers, and rows of statistics, which are listed.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ MIN_NUMBER_SHARE = 0.5
 """Share of the cells of a line of data that are numbers at least: labels of runs and series are fewer."""
 MIN_EVEN_SHARE = 0.8
 """Share of the lines with numbers that have as many columns, from which a separator is credible."""
+MIN_COLUMN_ROWS = 2
+"""Numbers, each alone on its line, that are a table of one column: a single one may stand in any text."""
 DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(e[+-]?\d+)?$", re.IGNORECASE)
 CLEAR_GROUP_SIGN = re.compile(r"(?<=\d)['\u2019\u00a0\u202f](?=\d{3}(?!\d))")
 """Apostrophes (Switzerland) and no-break spaces between thousands, which can be nothing else."""
@@ -201,6 +204,9 @@ def _split_lines(path: Path, lines: Sequence[tuple[int, str]]) -> list[Row]:
     rows = [(number, _cells(path, number, line, space)) for number, line in lines]
     if any(len(cells) > 1 and _is_data(cells) for _, cells in rows):
         return rows
+    rows = [(number, (line.strip(),)) for number, line in lines]
+    if sum(_is_data(cells) for _, cells in rows) >= MIN_COLUMN_ROWS:
+        return rows
     remedy = "Separate the columns by commas, semicolons, tabs or spaces, in every line equally many"
     raise UserError("has no rows of numbers in columns", str(path), f"line {lines[0][0]}", remedy)
 
@@ -228,16 +234,23 @@ def _is_number(cell: str) -> bool:
 
 
 def _first_data_row(path: Path, rows: Sequence[Row]) -> int:
-    first = next(index for index, (_, cells) in enumerate(rows) if len(cells) > 1 and _is_data(cells))
+    least = _least_width(rows)
+    first = next(index for index, (_, cells) in enumerate(rows) if len(cells) >= least and _is_data(cells))
     if first == 0:
         fault = "begins with numbers: there is no head that names the columns"
         raise UserError(fault, str(path), f"line {rows[0][0]}", "Write a head such as `Fx [N],Fy [N],B1 [mV/V]`")
     return first
 
 
+def _least_width(rows: Sequence[Row]) -> int:
+    """Cells of a line of numbers or of the head at least: two, so that titles are told from them, if any line has."""
+    return min(2, max(len(cells) for _, cells in rows))
+
+
 def _find_header(path: Path, rows: Sequence[Row], first: int) -> tuple[int, tuple[str, ...]]:
     """Index of the head, and the units of a line between it and the numbers (empty where there is none)."""
-    heads = [index for index in range(first) if sum(map(bool, rows[index][1])) > 1 or _are_units(rows[index][1])]
+    least = _least_width(rows)
+    heads = [index for index in range(first) if sum(map(bool, rows[index][1])) >= least or _are_units(rows[index][1])]
     if not heads or 2 * len(rows[heads[-1]][1]) < len(rows[first][1]):
         fault = "is the line above the numbers, and does not name the columns"
         raise UserError(fault, str(path), f"line {rows[first - 1][0]}", "Write a name and a unit above each column")

@@ -49,6 +49,13 @@ def test_units_row(tmp_path: Path, units: str) -> None:
     assert again.rows[1] == (6, ("10", "-1.25"))
 
 
+@pytest.mark.parametrize("text", ["z.strain [V]\n0.01\n-2.5e-3\n", "Readings of today\nz.strain\n[V]\n0.01\n-2.5e-3\n"])
+def test_a_table_of_one_column(tmp_path: Path, text: str) -> None:
+    read = table(tmp_path, text)
+    assert read.header[0].startswith("z.strain")
+    np.testing.assert_array_equal(read.numbers(0), [0.01, -2.5e-3])
+
+
 def test_labels_are_no_numbers(tmp_path: Path) -> None:
     read = table(tmp_path, "run,Fx,B1,B2\na,1,2,3\nb,4,5,6\n")
     assert read.texts(0) == ("a", "b")
