@@ -56,7 +56,7 @@ def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_],
 def _sigma_by_varied_loads(x: Mapping[int, Array], centered: Mapping[int, Array]) -> dict[int, Array]:
     """Robust standard deviation (c,) of the errors of all load series in which the same loads vary, by series.
 
-    The rows of a series at which its load is off say nothing of the noise of that load; they are left out.
+    Rows at which the load of the series is off have none of its noise, and are left out.
     """
     varied = {name: np.ptp(values, axis=0) > APPLIED_SHARE for name, values in x.items()}
     alike = defaultdict(list)

@@ -109,7 +109,7 @@ class Azimuth:
         return self._evaluate_within_pulses(time, self.speed_curve)
 
     def of_samples(self, rate: float, start: int, stop: int) -> tuple[Array, Array]:
-        """Return azimuth [rad] and speed [Hz] of samples, at most MOST_KEPT kept; beyond the pulses as at the nearest."""
+        """Return azimuth [rad] and speed [Hz] of samples, at most MOST_KEPT kept; beyond the pulses as at the next."""
         count = max(stop, int(self.last * rate) + 2)
         if count > MOST_KEPT:
             return self._evaluate_samples(np.arange(start, stop), rate)
