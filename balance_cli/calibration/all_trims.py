@@ -103,7 +103,8 @@ class AllTrimsCalibration:
     def untested_products(self) -> UntestedProducts | None:
         """Products of two loads that the rows that were fitted could not tell; None where there are none."""
         block = self.run if self.load_series is None else self.load_series
-        return find_untested_products(self.loads_model, self.loads[self.used], block[self.used])
+        readings = self.model.readings(self.loads[self.used]) + self.residuals[self.used]
+        return find_untested_products(self.loads_model, self.loads[self.used], readings, block[self.used])
 
     @property
     def level_weight_loads(self) -> Array:
@@ -138,7 +139,7 @@ def calibrate_all_trims(
     fit, model, used = screened.fit, screened.fit.model, _fitted_rows(screened.fit)
     by = _fit_for_loads(total, fit, choice)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
-    untested = find_untested_products(by.model, total.loads[used], points.load_series[used])
+    untested = find_untested_products(by.model, total.loads[used], points.channels[used], points.load_series[used])
     models = CheckModels(by.model, _estimate_noise(points, by, used, repeat_scatter), direct, untested)
     held_out = _held_out_checks(models, checks, tares, check_gravity or {})
     return AllTrimsCalibration(

@@ -142,11 +142,13 @@ def _non_iterative_loads(
     change = channels - zero.readings
     computed = other.loads(change)
     covariance = _zero_covariance(models.noise.reading_covariance, zero.variance)
+    interval = other.prediction_interval(change, covariance)
+    truncation = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * other.difference(change, model)
     return CheckLoads(
         run=run,
         applied=loads,
         computed=computed - added,
-        prediction_interval=models.add_untested(other.prediction_interval(change, covariance), computed),
+        prediction_interval=models.add_untested(np.hypot(interval, truncation), computed),
         is_valid=_within_calibrated_loads(model, computed),
         method=NON_ITERATIVE,
     )

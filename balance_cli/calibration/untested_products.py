@@ -25,14 +25,19 @@ from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
 from balance_cli.calibration.term_support import MIN_APPLIED_LOAD
 from balance_cli.calibration.terms import Term, linear_terms, term_values
+from balance_cli.calibration.untold_terms import (
+    FOUND_FROM,
+    AliasedTerms,
+    CubicProducts,
+    find_aliased_terms,
+    find_cubic_products,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 PRODUCT_OVER_SQUARE = 2.0
 """Coefficient of a product over the geometric mean of the squares, for a quadratic function of one signal."""
-FOUND_FROM = 4.0
-"""Standard errors from which the search finds a term: the level 0.01 over some 100 terms and 8 channels is |t| of 4."""
 LEVELS = np.linspace(-1.0, 1.0, 9)
 """Loads over their range at which the nonlinear part of a channel is taken: the steps of usual load series."""
 MOST_NAMED = 3
@@ -52,19 +57,34 @@ MIN_SIGMA_GROWTH = 1.1
 class UntestedProducts:
     """Products of two loads with their `variance` (q, c) [V2] in each channel, both loads at their calibrated range.
 
-    `pairs` (q, 2): indices of the loads; `calibrated_range` (k,) [N, N m].
+    `pairs` (q, 2): indices of the loads; `calibrated_range` (k,) [N, N m]. `aliased`, `cubic`: further terms that the
+    schedule does not tell, None where there are none.
     """
 
     components: tuple[str, ...]
     pairs: Index
     variance: Array
     calibrated_range: Array
+    aliased: AliasedTerms | None = None
+    cubic: CubicProducts | None = None
 
     def reading_variance(self, loads: ArrayLike) -> Array:
-        """Variance (m, c) [V2] of the readings at loads (m, k) [N, N m] by the products that were not tested."""
+        """Variance (m, c) [V2] of the readings at loads (m, k) [N, N m] by the terms that were not tested."""
         x = np.atleast_2d(np.asarray(loads, float)) / self.calibrated_range
         products = x[:, self.pairs[:, 0]] * x[:, self.pairs[:, 1]]
-        return np.asarray(products**2 @ self.variance)
+        further = (part.reading_variance(x) for part in (self.aliased, self.cubic) if part is not None)
+        return np.asarray(sum(further, products**2 @ self.variance))
+
+    def described(self, loads: Array) -> tuple[str, ...]:
+        """What was not tested and matters at loads (k,) [N, N m], in words."""
+        names, x = self.names(loads), np.atleast_2d(loads) / self.calibrated_range
+        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        parts = [f"the products {', '.join(names[:MOST_NAMED])}{more}"] if names else []
+        if self.aliased is not None and np.any(self.aliased.reading_variance(x) > 0.0):
+            parts.append("which of terms that do the same in them are there")
+        if self.cubic is not None and np.any(self.cubic.reading_variance(x) > 0.0):
+            parts.append("products of third degree")
+        return tuple(parts)
 
     def reading_covariance(self, loads: ArrayLike, rows: Index) -> Array:
         """Covariance (c, c) [V2] of some channels (rows) at loads (k,): products of two channels are independent."""
@@ -80,6 +100,8 @@ class UntestedProducts:
 
     def names(self, loads: ArrayLike) -> tuple[str, ...]:
         """The products as terms are called, those first that cause most at loads (k,) [N, N m]; no others."""
+        if not len(self.pairs):
+            return ()
         x = np.asarray(loads, float) / self.calibrated_range
         unit = np.maximum(self.variance.max(axis=0), np.finfo(float).tiny)
         caused = (x[self.pairs[:, 0]] * x[self.pairs[:, 1]]) ** 2 * (self.variance / unit).sum(axis=1)
@@ -87,8 +109,10 @@ class UntestedProducts:
         return tuple(f"{self.components[i]} {self.components[j]}" for i, j in self.pairs[order])
 
 
-def find_untested_products(model: CalibrationModel, loads: Array, load_series: Index) -> UntestedProducts | None:
-    """Find the products that a schedule of loads (m, k) [N, N m] could not tell; None where there are none.
+def find_untested_products(
+    model: CalibrationModel, loads: Array, readings: Array, load_series: Index
+) -> UntestedProducts | None:
+    """Find the terms that loads (m, k) [N, N m] and readings (m, c) [V] could not tell; None where there are none.
 
     `load_series` (m,): number of the load series of each row, with its own zero. None, too, for a linear model, and
     for one that was read from a matrix, whose rows are not known.
@@ -104,9 +128,12 @@ def find_untested_products(model: CalibrationModel, loads: Array, load_series: I
     variance = np.where(is_open, prior / (1.0 + gain), 0.0)
     variance += _gain_like_variance(model, loads / model.calibrated_range, load_series, pairs)
     some = (variance > 0.0).any(axis=1)
-    if not some.any():
+    x = loads / model.calibrated_range
+    aliased = find_aliased_terms(model, x, load_series)
+    cubic = find_cubic_products(model, x, readings, load_series)
+    if not some.any() and aliased is None and cubic is None:
         return None
-    return UntestedProducts(model.components, pairs[some], variance[some], model.calibrated_range)
+    return UntestedProducts(model.components, pairs[some], variance[some], model.calibrated_range, aliased, cubic)
 
 
 def _prior_sigma(model: CalibrationModel) -> Array:
@@ -197,11 +224,8 @@ def untested_components(components: Sequence[str], variance: Array, tested: Arra
 
 def describe_untested(untested: UntestedProducts, loads: Array, components: Sequence[str]) -> str:
     """A sentence on the products that matter at loads (k,), and the components that they make uncertain."""
-    names = untested.names(loads)
-    named = ", ".join(names[:MOST_NAMED])
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     return (
-        f"the calibration has nonlinear terms, but its load series do not tell the products {named}{more}: "
-        f"sigma of {', '.join(components)} at these combined loads includes their probable size. "
-        "Calibrate with combined loads"
+        "the calibration has nonlinear terms, but its load series do not tell "
+        f"{', nor '.join(untested.described(loads))}: sigma of {', '.join(components)} at these combined loads "
+        "includes their probable size. Calibrate with combined loads"
     )

@@ -144,7 +144,8 @@ def _non_iterative_variance(direct: NonIterativeModel, calibration: Calibration,
     assert calibration.all_trims is not None
     model = calibration.all_trims.loads_model
     row_noise = (1.0 - _misfit_share(calibration, model)) * model.residual_covariance
-    return np.diag(direct.load_covariance(reading.change, reading.covariance, row_noise))
+    covariance = direct.load_covariance(reading.change, reading.covariance, row_noise)
+    return np.asarray(np.diag(covariance) + direct.difference(reading.change, model)[0] ** 2)
 
 
 def _loads_determined(model: CalibrationModel, rows: Index) -> bool:

@@ -197,7 +197,9 @@ def _load_covariances(
     model, rows = usable.model, usable.rows
     if direct is not None:
         pairs = zip(change, _widening(usable) * noise, strict=True)
-        return np.stack([direct.load_covariance(row, own, usable.noise) for row, own in pairs])
+        covariance = np.stack([direct.load_covariance(row, own, usable.noise) for row, own in pairs])
+        truncation = direct.difference(change, model)
+        return np.asarray(covariance + truncation[:, :, None] * truncation[:, None, :])
     return np.stack([model.load_covariance(row, own, rows)[0] for row, own in zip(loads, noise, strict=True)])
 
 

@@ -160,7 +160,8 @@ def _computes_means(all_trims: AllTrimsCalibration, trims: int) -> bool:
     """
     if all_trims.model.is_nonlinear or all_trims.non_iterative is not None:
         return True
-    return all_trims.random_terms is not None and trims == 1 and all_trims.untested_products is None
+    untested = all_trims.untested_products
+    return all_trims.random_terms is not None and trims == 1 and (untested is None or not len(untested.pairs))
 
 
 def _combine_loads(

@@ -1,10 +1,13 @@
 """Products of two loads that no load series tells: combined loads are flagged, and sigma covers what they may do."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.untested_products import find_untested_products
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import MemorySource, Run
@@ -88,7 +91,7 @@ def test_a_schedule_with_combined_loads_leaves_no_product_open():
 
 def test_a_linear_model_has_no_open_products():
     straight = rig_calibration(curved=False, combined=False).all_trims
-    assert find_untested_products(straight.model, straight.loads, straight.load_series) is None
+    assert find_untested_products(straight.model, straight.loads, straight.residuals, straight.load_series) is None
 
 
 def test_the_intervals_of_held_out_runs_are_as_wide():
@@ -101,3 +104,72 @@ def test_the_intervals_of_held_out_runs_are_as_wide():
     run = Run("static", RIG.rig, "static", NAMES, len(ramps), MemorySource(volts, ramps), trim="bare")
     for check in calibrate([run], RIG, hold_out=[held], non_iterative=True).all_trims.checks:
         assert np.min(check.interval_coverage) > 0.95
+
+
+# ---- terms that the schedule does not tell ---------------------------------------------------------------------------
+
+LOADS = ("Fx", "Fy", "Fz", "Mx")
+
+
+def drawn_points(shape, series, seed, noise=3e-4):
+    """Points of a balance by chance with readings `shape` of its signals, and a check run of all loads at once."""
+    rng = np.random.default_rng(seed)
+    linear = np.linalg.qr(rng.standard_normal((5, 5)))[0][:4]
+    x = np.vstack(series)
+    number = np.repeat(np.arange(len(series)), [len(part) for part in series])
+    zeros = 5e-3 * rng.standard_normal((len(series), 5))
+    read = shape(x @ linear) + zeros[number] + noise * rng.standard_normal((len(x), 5))
+    check = np.vstack([np.zeros((100, 4)), rng.uniform(-0.7, 0.7, (200, 4))])
+    again = shape(check @ linear) + noise * rng.standard_normal((len(check), 5))
+    ones, run = np.ones(len(x)), np.zeros(len(x), np.intp)
+    points = CalibrationPoints(tuple("abcde"), LOADS, ("r",), read, x, run, ones, np.ones(4))
+    return points, ("check", again, check)
+
+
+def coverage(check):
+    """Share of the loads of a check in their intervals, those of the unloaded rows left out."""
+    inside = np.abs(check.computed - check.applied) <= check.prediction_interval
+    return float(np.mean(inside[100:][check.is_valid[100:]]))
+
+
+def hanging_series():
+    """Each load up and down to both sides, then beside another one that hangs."""
+    steps = np.r_[0.0, 0.25, 0.5, 0.75, 1.0, 0.5]
+    single = [np.outer(side * steps, row) for row in np.eye(4) for side in (1, -1)]
+    pairs = [(i, j) for i in range(4) for j in range(4) if i != j]
+    beside = [np.outer(steps, np.eye(4)[i]) + 0.6 * np.eye(4)[j] for i, j in pairs]
+    return single + [side * part for part in beside for side in (1, -1)]
+
+
+def test_products_of_third_degree_are_in_the_intervals_where_pairs_of_loads_do_not_tell_them():
+    """Signals with their cubes: before these products 55 % of the check loads were in their intervals."""
+    cubes = [drawn_points(lambda s: s + 0.03 * s**3, hanging_series(), seed) for seed in range(3)]
+    found = [calibrate_all_trims(points, [run]) for points, run in cubes]
+    assert np.mean([coverage(each.checks[0]) for each in found]) > 0.92
+    said = found[0].untested_products.described(np.full(4, 0.5))
+    assert "products of third degree" in said
+    # Cubes of single loads leave nothing in the residuals of pairs: the intervals stay those of noise.
+    points, run = drawn_points(lambda s: s, hanging_series(), 5)
+    own = np.vstack([0.03 * np.eye(4), np.zeros((1, 4))]).T[:, :5]
+    points = replace(points, channels=points.channels + points.loads**3 @ own)
+    kept = calibrate_all_trims(points, [("check", run[1] + run[2] ** 3 @ own, run[2])])
+    model, untested = kept.loads_model, kept.untested_products
+    assert model.is_nonlinear
+    share = untested.reading_variance(run[2]).mean(axis=0) / np.diag(model.residual_covariance)
+    assert np.all(share < 1.0)
+
+
+def test_terms_that_do_the_same_in_the_schedule_are_as_likely_beyond_it():
+    """Two loads that were applied together to one side: |F| G does what F G does, and the opposite elsewhere."""
+    x = np.outer(np.r_[0.0, 0.25, 0.5, 0.75, 1.0], np.eye(4)[0]) + 0.6 * np.eye(4)[1]
+    steps = np.r_[0.0, 0.25, 0.5, 0.75, 1.0, -0.5, -1.0]
+    series = [*(np.outer(steps, row) for row in np.eye(4)), x, np.outer(x[:, 0], np.eye(4)[1]) + 0.5 * np.eye(4)[0]]
+    points, _ = drawn_points(lambda s: s, series, 1)
+    product = np.zeros((len(points.loads), 5))
+    product[:, 2] = 0.02 * np.abs(points.loads[:, 0]) * points.loads[:, 1]
+    whole = calibrate_all_trims(replace(points, channels=points.channels + product))
+    aliased = whole.untested_products.aliased
+    there, elsewhere = (aliased.reading_variance(np.array([row])) for row in ([0.8, 0.5, 0, 0], [-0.8, 0.5, 0, 0]))
+    assert np.all(there < 1e-12)
+    # The fitted term is one of four: two of these differ from it by twice the product in that quadrant.
+    assert np.sqrt(elsewhere[0, 2]) == pytest.approx(2 * 0.02 * 0.8 * 0.5 / np.sqrt(2), rel=0.15)
