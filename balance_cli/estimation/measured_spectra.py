@@ -10,6 +10,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.placed_effects import needs_mean
+from balance_cli.signals.early_taps import prepend_rest
 from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
 from balance_cli.signals.nyquist_noise import RunNoise, UsualNoise, measure_nyquist_noise, usual_noise
@@ -78,7 +79,7 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
 
 
 def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, means: bool) -> RunSpectrum:
-    run = use_hammer_record(run)
+    run = prepend_rest(use_hammer_record(run))
     force = single_force(run)
     if force is not None:
         return force.expand(_sweep_lines(force.run, channel_names, geometry, means))

@@ -19,6 +19,8 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 
 IMPACT = "impact"
+LEAST_CREST = 8.0
+"""Of a hit, over the standard deviation of the noise between hits; noise alone reaches 5 in a million samples."""
 ZERO_SHARE = 0.01
 """Of the largest load: less counts as no load. Of Gaussian noise one sample in forty is so small, and of a hammer
 nearly all are, its noise included."""
@@ -54,7 +56,7 @@ class Hits:
     def note(self) -> str:
         """What to tell of them."""
         taps, doubles = int(np.sum(~self.is_double)), int(np.sum(self.is_double))
-        text = f"{taps} taps of the hammer"
+        text = f"{taps} {'tap' if taps == 1 else 'taps'} of the hammer"
         if not doubles:
             return text
         first = float(self.times[self.is_double][0])
@@ -102,10 +104,10 @@ def hammer_record(run: Run) -> HammerRecord | None:
 
     Raises UserError where every tap bounced.
     """
-    loads = _hammer_loads(run)
+    loads = hammer_loads(run)
     if loads is None or run.sample_rate is None:
         return None
-    hits = find_hits(_combined(loads), run.sample_rate)
+    hits = find_hits(combined_hits(loads), run.sample_rate)
     tap = np.cumsum(~hits.is_double) - 1
     taps = hits.times[~hits.is_double]
     is_double = np.bincount(tap[hits.is_double], minlength=len(taps)) > 0
@@ -122,10 +124,12 @@ def hammer_record(run: Run) -> HammerRecord | None:
 def use_hammer_record(run: Run) -> Run:
     """The part of a hammer record that is used; the same run where it is no such record.
 
-    Raises UserError where every tap bounced.
+    Raises UserError where every tap bounced, or a run that is declared as one has no hit.
     """
     record = hammer_record(run)
-    if record is None or (record.start, record.stop) == (0, run.samples):
+    if record is None:
+        return run
+    if (record.start, record.stop) == (0, run.samples):
         return run
     return excerpt_run(run, record.start, record.stop)
 
@@ -144,11 +148,11 @@ class WindowedForces:
 
 def window_forces(loads: Array) -> WindowedForces:
     """Set the loads (n, u) of a hammer to zero where it does not hit, with smooth edges, and their median to zero."""
-    short = np.array([has_short_hits(column) for column in loads.T], bool)
+    short = np.array([has_short_hits(column, noisy=True) for column in loads.T], bool)
     if not short.any():
         return WindowedForces(loads, np.zeros(loads.shape[1]), 0.0)
     centered = loads - np.median(loads, axis=0)
-    window = force_window(_combined(loads[:, short]))
+    window = force_window(combined_hits(loads[:, short]))
     noise = GAUSSIAN * np.median(np.abs(centered), axis=0)
     windowed = np.where(short, centered * window[:, None], loads)
     return WindowedForces(windowed, np.where(short, noise, 0.0), float(np.sum(window**2)))
@@ -166,7 +170,8 @@ def force_window(size: Array) -> Array:
     margin = MARGIN * max(_longest_run(is_hit), 2)
     wide = maximum_filter1d(is_hit.astype(float), 2 * margin + 1)
     edge = np.hanning(2 * margin + 1)
-    return np.asarray(np.clip(np.convolve(wide, edge / edge.sum(), "same"), 0.0, 1.0))
+    # At the ends of the record the window goes on as it is there: a hit at the start would be cut in half.
+    return np.asarray(np.clip(np.convolve(np.pad(wide, margin, "edge"), edge / edge.sum(), "valid"), 0.0, 1.0))
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> int:
@@ -181,7 +186,7 @@ def _longest_part(is_double: NDArray[np.bool_]) -> tuple[int, int]:
     return int(edges[2 * longest]), int(edges[2 * longest + 1])
 
 
-def _hammer_loads(run: Run) -> Array | None:
+def hammer_loads(run: Run) -> Array | None:
     """The loads (n, k) of a run that are zero but for short hits; None where it is no record of a hammer."""
     if run.kind != "sweep" or run.excitation != IMPACT or not run.has_loads or run.samples > MOST_SAMPLES:
         return None
@@ -189,6 +194,10 @@ def _hammer_loads(run: Run) -> Array | None:
     if loads is None or not np.isfinite(loads).all():
         return None
     hits = _excited_hits(run, loads)
+    if not hits.shape[1] and np.any(loads) and not any(has_hit(column) for column in loads.T):
+        fault = "it is declared as `impact`, but no load has a hit that stands out of its noise"
+        remedy = "Leave the record out, or declare its `excitation`"
+        raise UserError(fault, str(run.path or run.name), "loads", remedy)
     return hits if hits.shape[1] else None
 
 
@@ -196,20 +205,27 @@ def _excited_hits(run: Run, loads: Array) -> Array:
     """The columns of the loads that `excited` names, or all, as far as they are hits."""
     names: Sequence[str] = run.excited or COMPONENTS
     columns = [COMPONENTS.index(name) for name in names if name in COMPONENTS]
-    return loads[:, [k for k in columns if has_short_hits(loads[:, k])]]
+    return loads[:, [k for k in columns if has_short_hits(loads[:, k], noisy=True)]]
 
 
-def _combined(loads: Array) -> Array:
+def combined_hits(loads: Array) -> Array:
     """One signal (n,) of the hits of several loads (n, k), each relative to its largest."""
     centered = np.abs(loads - np.median(loads, axis=0))
     return np.asarray(np.max(centered / centered.max(axis=0), axis=1))
 
 
-def has_short_hits(load: Array) -> bool:
-    """Whether a load (n,) is zero but for short hits."""
+def has_short_hits(load: Array, noisy: bool = False) -> bool:
+    """Whether a load (n,) is zero but for short hits; `noisy`: or noise, which is no hit of a declared hammer."""
     size = np.abs(load - np.median(load))
     largest = float(size.max(initial=0.0))
-    return largest > 0.0 and float(np.mean(size > ZERO_SHARE * largest)) < SHORT_SHARE
+    noise = GAUSSIAN * float(np.median(size)) if noisy and has_hit(load) else 0.0
+    return largest > 0.0 and float(np.mean(size > max(ZERO_SHARE * largest, WINDOW_SIGMAS * noise))) < SHORT_SHARE
+
+
+def has_hit(load: Array) -> bool:
+    """Whether the largest value of a load (n,) stands out of all others as a hit does."""
+    size = np.abs(load - np.median(load))
+    return float(size.max(initial=0.0)) > LEAST_CREST * GAUSSIAN * float(np.median(size))
 
 
 def find_hits(load: Array, rate: float) -> Hits:

@@ -17,7 +17,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.importers.base import ForeignFile
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import VOLTAGE
-from balance_cli.signals.impact import IMPACT, find_hits
+from balance_cli.signals.impact import IMPACT, find_hits, has_hit
 from balance_cli.signals.rotor.pulse_consistency import speed_fault
 from balance_cli.signals.rotor.tachometer import RotorReference
 from balance_cli.steps.import_additions import addition_signals, additions_of
@@ -236,8 +236,11 @@ def _hit_notes(run: Run) -> list[str]:
     assert run.sample_rate is not None
     columns = [COMPONENTS.index(name) for name in run.excited]
     loads = np.concatenate([block.loads[:, columns] for block in run.blocks(BLOCK) if block.loads is not None])
-    hits = [find_hits(column, run.sample_rate) for column in loads.T]
-    return [f"{name}: {found.note}" for name, found in zip(run.excited, hits, strict=True)]
+    notes = [
+        find_hits(column, run.sample_rate).note if has_hit(column) else "no hit of the hammer stands out of the noise"
+        for column in loads.T
+    ]
+    return [f"{name}: {note}" for name, note in zip(run.excited, notes, strict=True)]
 
 
 def _rms_levels(run: Run) -> tuple[float, ...]:

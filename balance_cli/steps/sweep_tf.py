@@ -15,6 +15,7 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.signals.early_taps import prepend_rest
 from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.response import local_response
 from balance_cli.signals.nyquist_noise import measure_usual_noise
@@ -126,7 +127,7 @@ def _nonperiodic_response(
 ) -> FrequencyResponse:
     if estimator in AVERAGED_ESTIMATORS:
         return averaged_response(run, channel_names, estimator, band)
-    run = use_hammer_record(run)
+    run = prepend_rest(use_hammer_record(run))
     return local_response(run, channel_names, LOCAL_RATIONAL if estimator == AUTO else estimator, band)
 
 
