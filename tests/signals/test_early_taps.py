@@ -10,6 +10,7 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.early_taps import prepend_rest
 from balance_cli.signals.impact import use_hammer_record
+from balance_cli.signals.local.models import whitening_matrices
 from balance_cli.signals.local.response import local_response
 
 RATE, SAMPLES, OMEGA, ZETA = 4000.0, 4000, 2 * np.pi * 35.0, 0.01
@@ -81,3 +82,8 @@ def test_a_record_without_a_hit_is_refused():
     loads[:, 2] = RNG.normal(size=SAMPLES)
     with pytest.raises(UserError, match="no load has a hit"):
         use_hammer_record(replace(run, source=MemorySource(run.read().channels, loads)))
+
+
+def test_noise_of_a_computed_record_is_whitened_although_rounding_made_it_indefinite():
+    covariance = np.array([[[1.0, 1.0], [1.0, 1.0 - 1e-15]]], complex) * 1e-12
+    assert np.isfinite(whitening_matrices(covariance)).all()

@@ -58,6 +58,8 @@ POLYNOMIAL_DOF = 8
 AVERAGED_SHARE = 4.0 / 9.0
 """Lines of a window over which a response averages, over all: in the middle a parabola has weights of sum of squares
 9/4 over the lines; with poles and higher degrees it averages over fewer."""
+NOISELESS_RIDGE = 1e-9
+"""Of the mean noise of the channels: far above rounding, far below the differences of noise between channels."""
 LEAST_LINE_COUNT = 0.05
 """Least share of a degree of freedom that a line keeps after the fit, so that its noise is not divided by zero."""
 
@@ -216,7 +218,14 @@ def decimate_lines(selected: NDArray[np.bool_]) -> Index:
 
 def whitening_matrices(covariance: ComplexArray) -> ComplexArray:
     """Return matrices (K, c, c) that make noise of this covariance (K, c, c) white."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), complex)
+    try:
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        # Computed records have no noise in some directions, but rounding, which may be of either sign.
+        c = covariance.shape[1]
+        size = np.maximum(np.trace(covariance, axis1=1, axis2=2).real / c, np.finfo(float).tiny)
+        root = np.linalg.cholesky(covariance + (NOISELESS_RIDGE * size)[:, None, None] * np.eye(c))
+    return np.asarray(np.linalg.inv(root), complex)
 
 
 def stitch_response(fits: Sequence[WindowFit], first: Index, assigned_lines: Index) -> ComplexArray:
