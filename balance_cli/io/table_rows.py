@@ -10,9 +10,12 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 Row = tuple[int, tuple[str, ...]]
@@ -169,3 +172,23 @@ def _last_digit(cell: str) -> float:
     mantissa, _, exponent = cell.lower().replace("d", "e").partition("e")
     fraction = re.search(r"[.,](\d*)$", mantissa)
     return 10.0 ** (int(exponent or 0) - (len(fraction[1]) if fraction else 0))
+
+
+def unnamed_columns(data: Sequence[Row], header: Sequence[str]) -> int:
+    """Number of columns that have no name in the head, and hold something."""
+    filled = {index for _, cells in data for index, cell in enumerate(cells) if cell}
+    return sum(1 for index in filled if index >= len(header) or not header[index])
+
+
+def require_even_rows(path: Path, data: Sequence[Row], header: Sequence[str], head: Row) -> None:
+    """Raise UserError where a row has fewer cells than the head has names, or filled cells where the head has none.
+
+    Notes beside a table stand in columns of the head that are empty there: spreadsheets write all lines equally long.
+    """
+    line_of_head, cells_of_head = head
+    for line, cells in data:
+        if any(cells[len(cells_of_head) :]) or len(cells) < len(header):
+            columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
+            fault = f"has {columns}, the head (line {line_of_head}) has {len(header)}"
+            remedy = "Give every row one cell for each column, and delete lines that are no rows of the table"
+            raise UserError(fault, str(path), f"line {line}", remedy)

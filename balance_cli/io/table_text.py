@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
-from balance_cli.io.table_rows import separate_rows
+from balance_cli.io.table_rows import require_even_rows, separate_rows, unnamed_columns
 from balance_cli.io.text_cells import SEPARATORS, find_encoding, is_remark, require_no_workbook
 from balance_cli.io.text_numbers import FILLER_RATIO, fillers_as_missing, is_grouped, is_missing
 from balance_cli.io.units import is_unit
@@ -51,7 +51,8 @@ class TextTable:
 
     `rows`: line number in the file and cells of each row; `decimal_comma`: whether numbers have one; `has_groups`:
     whether some have a sign between thousands beside a decimal sign; `digest` is the hex SHA-256 of the file.
-    `other_rows`: lines below the head that are no rows of the table.
+    `other_rows`: lines below the head that are no rows of the table; `unnamed`: columns without a name that hold
+    something.
     """
 
     path: Path
@@ -62,6 +63,7 @@ class TextTable:
     digest: str
     has_groups: bool = False
     other_rows: tuple[Row, ...] = ()
+    unnamed: int = 0
 
     def error(self, line: int, column: str, fault: str, remedy: str) -> UserError:
         """The error to raise for a fault in one cell, or with line 0 in a whole column."""
@@ -134,7 +136,7 @@ def read_table(path: Path) -> TextTable:
     below = [(line, cells) for line, cells in rows[first:] if any(cells) and cells not in repeated]
     decimal_comma, has_groups = _number_signs([cells[: len(header)] for _, cells in below])
     points, others = separate_rows(below, len(header), lambda cell: parse_number(cell, decimal_comma, has_groups))
-    _require_even_rows(path, points, header, rows[header_at][0])
+    require_even_rows(path, points, header, rows[header_at])
     return TextTable(
         path=path,
         header=header,
@@ -144,17 +146,8 @@ def read_table(path: Path) -> TextTable:
         digest=hashlib.sha256(content).hexdigest(),
         has_groups=has_groups,
         other_rows=tuple(others),
+        unnamed=unnamed_columns(points, header),
     )
-
-
-def _require_even_rows(path: Path, data: Sequence[Row], header: Sequence[str], header_line: int) -> None:
-    """Raise UserError where a row has fewer cells than the head, or more that are filled."""
-    for line, cells in data:
-        if (len(cells) > len(header) and any(cells[len(header) :])) or len(cells) < len(header):
-            columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
-            fault = f"has {columns}, the head (line {header_line}) has {len(header)}"
-            remedy = "Give every row one cell for each column, and delete lines that are no rows of the table"
-            raise UserError(fault, str(path), f"line {line}", remedy)
 
 
 def _read_bytes(path: Path) -> bytes:

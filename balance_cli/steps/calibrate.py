@@ -183,7 +183,8 @@ def _check_loaded(task: TrimTask, rows: TrimRows) -> None:
     spread, size = np.ptp(rows.loads, axis=0), np.max(np.abs(rows.loads), axis=0)
     for name, varied in zip(task.components, spread > MIN_LOAD_VARIATION * size, strict=True):
         if not varied:
-            raise task.error(f"`{name}` was never loaded", f"Apply `{name}` in steps about this trim")
+            remedy = f"Apply `{name}` in steps about this trim, or leave it out of the `components` in the geometry"
+            raise task.error(f"`{name}` was never loaded", remedy)
 
 
 def _check_significance(task: TrimTask, rows: TrimRows, regression: TrimRegression) -> None:

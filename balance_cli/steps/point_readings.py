@@ -59,7 +59,19 @@ def _load_series(runs: tuple[str, ...], series: tuple[str, ...], loads: Array | 
         return np.unique([f"{name} {label}" for name, label in zip(run, series, strict=True)], return_inverse=True)[1]
     if loads is None or not np.any(loads):
         return None
-    return find_load_series(loads / np.maximum(np.max(np.abs(loads), axis=0), np.finfo(float).tiny), run)
+    found = find_load_series(loads / np.maximum(np.max(np.abs(loads), axis=0), np.finfo(float).tiny), run)
+    return _part_tares_between(np.asarray(found, np.intp), ~np.any(loads, axis=1))
+
+
+def _part_tares_between(series: Index, unloaded: NDArray[np.bool_]) -> Index:
+    """The series (n,), with a number of its own for an unloaded row between two: it may open the later one."""
+    parted = series.copy()
+    opens = np.flatnonzero(np.diff(series) != 0) + 1
+    for row in opens.tolist():
+        for between in (row - 1, row):
+            if unloaded[between]:
+                parted[between] = parted.max() + 1
+    return parted
 
 
 def row_runs(table: LoadTable) -> tuple[str, ...]:

@@ -169,3 +169,14 @@ def test_readings_with_the_names_of_loads_are_no_loads(tmp_path: Path) -> None:
     reading = TableReading((parse_unit("mV/V"),))
     names = [{"name": "Fx", "unit": "mV/V"}, {"name": "My", "unit": "mV/V"}]
     assert read(tmp_path, "Fx,My\n0.1,0.2\n", reading, channels=names).hub_loads is None
+
+
+def test_notes_beside_a_table_in_columns_without_a_name_are_left_out_and_counted(tmp_path: Path) -> None:
+    """Spreadsheets write all lines equally long, with empty cells in the head above the notes."""
+    text = "Fx [N],My [N m],B1 [mV/V],B2 [mV/V],,,\n0,0,0.1,0.2,,z up,0\n1,0,0.3,0.2,,,\n"
+    table = read(tmp_path, text)
+    assert table.hub_loads is not None
+    assert table.hub_loads[:, 0] == pytest.approx([0.0, 1.0])
+    assert table.unused == ("2 without a name in the head",)
+    with pytest.raises(UserError, match=r"has 6 columns, the head .line 1. has 4"):
+        read(tmp_path, "Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n0,0,0.1,0.2,,5\n1,0,0.3,0.2,,6\n")

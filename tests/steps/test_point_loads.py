@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.cli import balance
+from balance_cli.steps.point_readings import _part_tares_between
 
 FULL = np.array([500.0, 2000.0, 150.0])
 NAMES = ("Fx", "Fz", "My")
@@ -195,3 +196,10 @@ def test_other_commands_refuse_components_of_other_names(calibrated: Path) -> No
     assert done.exit_code == 2
     assert "but the calibration has channels in V/V. Write the linear part with --linear-matrix" in done.output
     assert not (calibrated / "m.csv").exists()
+
+
+def test_an_unloaded_row_between_two_series_may_belong_to_either():
+    """With the first row as the zero its error was 80 times its sigma where the later series had another attitude."""
+    series = np.array([0, 0, 0, 0, 1, 1, 1])
+    unloaded = np.array([True, False, False, True, False, False, False])
+    assert _part_tares_between(series, unloaded).tolist() == [0, 0, 0, 2, 1, 1, 1]

@@ -21,6 +21,7 @@ from balance_cli.campaign.recording.load_table_columns import (
     by_name,
     identify_loads_and_readings,
     plain_name,
+    unused_columns,
 )
 from balance_cli.campaign.recording.load_table_conditions import attitude_notes, attitude_of_rows, temperature_of_rows
 from balance_cli.campaign.recording.point_labels import POINT_KINDS
@@ -150,7 +151,7 @@ class _TableReader:
         columns = identify_loads_and_readings(table, loads, geometry.channel_names)
         self.columns = by_name(table, (column for column in columns if column and not column.is_reading))
         self.readings = by_name(table, (column for column in columns if column and column.is_reading))
-        self.unused = tuple(head for head, column in zip(table.header, columns, strict=True) if head and column is None)
+        self.unused = unused_columns(table, columns)
 
     def read(self) -> LoadTable:
         """The whole table."""

@@ -110,6 +110,12 @@ def by_name(table: TextTable, columns: Iterable[Column]) -> dict[str, Column]:
     return named
 
 
+def unused_columns(table: TextTable, columns: Sequence[Column | None]) -> tuple[str, ...]:
+    """Heads of the columns that are nothing known, and how many columns have none."""
+    unused = tuple(head for head, column in zip(table.header, columns, strict=True) if head and column is None)
+    return (*unused, f"{table.unnamed} without a name in the head") if table.unnamed else unused
+
+
 def _mark_reading(column: Column | None, shared: frozenset[str]) -> Column | None:
     """A column whose name alone does not tell load from reading, as a reading unless it states the unit of a load."""
     if column is None or column.name not in shared or _is_unit_of_load(column.unit):
