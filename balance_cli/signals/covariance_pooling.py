@@ -64,7 +64,7 @@ def variance_floor(spectra: ComplexArray) -> Array:
 
     A computed record has no noise, so that without a floor its covariance would have no inverse.
     """
-    power = np.mean(np.abs(spectra) ** 2, axis=tuple(range(spectra.ndim - 1)))
+    power = np.mean(spectra.real**2 + spectra.imag**2, axis=tuple(range(spectra.ndim - 1)))
     return np.asarray(
         RELATIVE_NOISE_FLOOR**2 * np.maximum(power, RELATIVE_NOISE_FLOOR * power.max()) + np.finfo(float).tiny, float
     )
@@ -108,8 +108,8 @@ class PooledCovariance:
     def distances(self, vectors: ComplexArray) -> Array:
         """Return the squared Mahalanobis distance (K, v) of vectors (K, v, n); its mean is n for noise."""
         n = vectors.shape[2]
-        weighted = self.solve(vectors)
-        squared = np.sum(vectors.real * weighted.real + vectors.imag * weighted.imag, axis=2)
+        parts = (np.ascontiguousarray(item).view(float) for item in (vectors, self.solve(vectors)))
+        squared = np.einsum("kvp,kvp->kv", *parts)
         return np.asarray(squared * inverse_bias_factor(max(self.dof, n + 1), n), float)
 
 
@@ -220,7 +220,9 @@ def _pooling_width(counts: Array, least_dof: float) -> int:
 
 def _initial_weights(deviations: ComplexArray, counts: Array, floor: Array) -> Array:
     """Weights from the diagonal alone: the power of each signal at a line against the median of its neighbors."""
-    power = np.sum(deviations.real**2 + deviations.imag**2, axis=1) / np.maximum(counts, 1e-12)[:, None] + floor
+    parts = deviations.view(float)
+    squares = np.einsum("kvp,kvp->kp", parts, parts)
+    power = (squares[:, ::2] + squares[:, 1::2]) / np.maximum(counts, 1e-12)[:, None] + floor
     blocks = np.array_split(power, max(len(power) // MEDIAN_LINES, 1))
     typical = np.concatenate([np.broadcast_to(np.median(block, axis=0), block.shape) for block in blocks])
     largest = np.max(power / np.maximum(typical, 1e-300), axis=1)

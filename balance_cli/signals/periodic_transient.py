@@ -97,7 +97,7 @@ def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatis
     deviations = late.swapaxes(0, 1) * np.sqrt(counts[0] / len(late))
     noise = pooled_covariance(deviations, counts, floor=2.0 * variance_floor(spectra))
     joint_power = noise.distances(difference.swapaxes(0, 1)).T[:, :, None] / n
-    variance = np.diagonal(noise.at_lines, axis1=1, axis2=2).real
+    variance = np.diagonal(noise.knots, axis1=1, axis2=2).real[noise.nearest]
     signal_power = (difference.real**2 + difference.imag**2) / variance
     narrow = _average_over_band(joint_power, NARROW_LINES, n, noise.dof, LARGEST_BIAS)
     return narrow, _average_over_band(signal_power, WIDE_LINES, 1, noise.dof, LARGEST_BIAS_OF_SIGNAL)

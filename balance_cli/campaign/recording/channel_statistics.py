@@ -71,26 +71,29 @@ class ChannelStatistics:
 
     def _add_flatlines(self, values: Array) -> None:
         """Flatlines; the one still open at the end of the last block is continued."""
-        new = np.r_[values[0] != self.last, values[1:] != values[:-1]]
-        self.repeated_count += int((~new).sum())
-        starts = self.samples + np.flatnonzero(new)
-        if not new[0]:
-            starts = np.r_[self.current_start, starts]
-        lengths = np.diff(np.r_[starts, self.samples + len(values)])
+        starts = np.flatnonzero(values[1:] != values[:-1]) + 1
+        is_new = bool(values[0] != self.last)
+        self.repeated_count += len(values) - len(starts) - is_new
+        begin = 0 if is_new else self.current_start - self.samples
+        edges = np.concatenate([[begin], starts, [len(values)]])
+        lengths = np.diff(edges)
         longest = int(np.argmax(lengths))
         if lengths[longest] > self.flatline_length:
-            self.flatline_length, self.flatline_start = int(lengths[longest]), int(starts[longest])
-            self.flatline_value = float(values[max(self.flatline_start - self.samples, 0)])
+            self.flatline_length, self.flatline_start = int(lengths[longest]), self.samples + int(edges[longest])
+            self.flatline_value = float(values[max(int(edges[longest]), 0)])
         with np.errstate(invalid="ignore", over="ignore"):
-            steps = np.diff(np.r_[self.last, values])
-        self._add_turning_points(steps)
-        self.current_start, self.last = int(starts[-1]), float(values[-1])
+            steps = np.concatenate([[values[0] - self.last], values[starts] - values[starts - 1]])
+        self._add_turning_points(steps[np.isfinite(steps) & (steps != 0.0)])
+        self.current_start, self.last = self.samples + int(edges[-2]), float(values[-1])
 
     def _add_turning_points(self, steps: Array) -> None:
         """Turning points: steps against the direction of the step before, flatlines skipped."""
-        directions = np.r_[self.last_direction, np.sign(steps[np.isfinite(steps) & (steps != 0.0)])]
-        self.turning_points += int((directions[1:] * directions[:-1] < 0).sum())
-        self.last_direction = float(directions[-1])
+        if not len(steps):
+            return
+        rises = steps > 0.0
+        self.turning_points += int(np.count_nonzero(rises[1:] != rises[:-1]))
+        self.turning_points += bool(self.last_direction) and (self.last_direction > 0) != bool(rises[0])
+        self.last_direction = 1.0 if rises[-1] else -1.0
 
     def _add_extremes(self, values: Array) -> None:
         new_values, counts = outer_values(values)

@@ -118,7 +118,7 @@ def fit_windows(windows: WindowedData, orders: ModelOrders) -> LocalFit:
         orders, windows.U.shape[2], weighted, columns, windows.weight, P[:, :, : orders.denominator + 1]
     )
     if orders.denominator == 0:
-        return _linear_fit(problem, np.ones((len(windows.Y), 1), complex))
+        return _linear_fit(problem, np.ones((len(windows.Y), 1), complex))[0]
     return _refine_denominator(problem, _levy_denominator(problem))
 
 
@@ -148,15 +148,15 @@ def _denominator_at(problem: _WindowProblem, a: ComplexArray) -> ComplexArray:
     return np.asarray(np.matmul(problem.P, a[:, :, None])[:, :, 0])
 
 
-def _linear_fit(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
-    """The fit for a given denominator."""
+def _linear_fit(problem: _WindowProblem, a: ComplexArray) -> tuple[LocalFit, ComplexArray]:
+    """The fit for a given denominator, and the orthonormal basis (W, M, q) of its regressors."""
     factor = problem.weight / _bound_from_zero(_denominator_at(problem, a))
     Q, R, scale = _orthonormal_basis(problem.columns, factor)
     projected = _adjoint(Q) @ problem.Y
     coefficients = np.asarray(np.linalg.solve(R, projected) / scale[:, :, None], complex)
     residual = problem.Y - Q @ projected
     triangle = np.asarray(R * scale[:, None, :], complex)
-    return LocalFit(problem.orders, problem.inputs, a, coefficients, triangle, residual)
+    return LocalFit(problem.orders, problem.inputs, a, coefficients, triangle, residual), Q
 
 
 def _levy_denominator(problem: _WindowProblem) -> ComplexArray:
@@ -194,17 +194,19 @@ def _gram_matrices(X: ComplexArray) -> ComplexArray:
 
 def _refine_denominator(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
     """Refine the denominator by damped Gauss-Newton steps (Levenberg-Marquardt) until no window improves."""
-    fit = _linear_fit(problem, a)
+    fit, basis = _linear_fit(problem, a)
     cost, damping = fit.cost, np.full(len(a), 1e-6)
     active = np.arange(len(a))
     for _ in range(REFINEMENT_ITERATIONS):
         active_problem, before = problem.subset(active), fit.subset(active)
-        denominator = before.denominator + _marquardt_step(active_problem, before, damping[active])
-        after = _linear_fit(active_problem, denominator / np.linalg.norm(denominator, axis=1, keepdims=True))
+        denominator = before.denominator + _marquardt_step(active_problem, before, basis[active], damping[active])
+        unit = denominator / np.linalg.norm(denominator, axis=1, keepdims=True)
+        after, basis_after = _linear_fit(active_problem, unit)
         reached = after.cost
         better = reached < cost[active]
         gain = 1.0 - reached / np.maximum(cost[active], 1e-300)
         _overwrite_windows(fit, active[better], after.subset(np.flatnonzero(better)))
+        basis[active[better]] = basis_after[better]
         cost[active[better]] = reached[better]
         damping[active] = np.where(better, damping[active] / 10.0, damping[active] * 30.0)
         active = active[np.where(better, gain > LEAST_COST_REDUCTION, damping[active] < LARGEST_MARQUARDT_DAMPING)]
@@ -219,18 +221,18 @@ def _overwrite_windows(fit: LocalFit, windows: NDArray[np.intp], replacement: Lo
         getattr(fit, name)[windows] = getattr(replacement, name)
 
 
-def _marquardt_step(problem: _WindowProblem, fit: LocalFit, damping: Array) -> ComplexArray:
+def _marquardt_step(problem: _WindowProblem, fit: LocalFit, Q: ComplexArray, damping: Array) -> ComplexArray:
     """Step of the denominator (W, na+1); a change of its scale has no effect, so that the step has no such part.
 
     The derivatives of the model are -P_i m with m = (B U + C) / A^2, less their projection on the regressors; the
-    residual is orthogonal to the regressors.
+    residual is orthogonal to the regressors, whose orthonormal basis is Q (W, M, q).
     """
     inverse = 1.0 / _bound_from_zero(_denominator_at(problem, fit.denominator))
-    Q, _, _ = _orthonormal_basis(problem.columns, np.asarray(problem.weight * inverse, complex))
     model = (problem.Y - fit.residual) * inverse[:, :, None]
     P = problem.P
     power = np.sum(np.abs(model) ** 2, axis=2)
-    explained = [(_adjoint(Q) @ (model * P[:, :, i, None])).reshape(len(model), -1) for i in range(P.shape[2])]
+    adjoint = _adjoint(Q)
+    explained = [(adjoint @ (model * P[:, :, i, None])).reshape(len(model), -1) for i in range(P.shape[2])]
     projection = np.stack(explained, axis=2)
     H = P.swapaxes(1, 2) @ (P * power[:, :, None]) - _adjoint(projection) @ projection
     g = -P.swapaxes(1, 2) @ np.sum(model.conj() * fit.residual, axis=2)[:, :, None]

@@ -6,6 +6,7 @@ M lines, c channels, u inputs, q linear coefficients for each channel, as in `si
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -33,6 +34,18 @@ class WindowFit:
     coefficients: ComplexArray
     triangle: ComplexArray
     residual: ComplexArray
+
+    @cached_property
+    def regressors(self) -> ComplexArray:
+        """The regressors (M, q) at the lines of the window."""
+        forced = np.sum(self.U[:, :, None] * response_rows(self, self.r), axis=1)
+        return np.asarray(forced + transient_rows(self, self.r))
+
+    @cached_property
+    def pseudoinverse(self) -> ComplexArray:
+        """The matrix (q, M) that maps the outputs of the window to its linear coefficients."""
+        X = self.regressors * self.weight[:, None] ** 2
+        return np.asarray(np.linalg.solve(self.triangle, np.linalg.solve(self.triangle.conj().T, X.conj().T)))
 
 
 def split_windows(fit: LocalFit, windows: WindowedData) -> tuple[WindowFit, ...]:
@@ -92,14 +105,12 @@ def transient_rows(fit: WindowFit, r: Array) -> ComplexArray:
 
 def design_matrix(fit: WindowFit) -> ComplexArray:
     """Return the regressors (M, q) at the lines of the window."""
-    forced = np.sum(fit.U[:, :, None] * response_rows(fit, fit.r), axis=1)
-    return np.asarray(forced + transient_rows(fit, fit.r))
+    return fit.regressors
 
 
 def design_pseudoinverse(fit: WindowFit) -> ComplexArray:
     """Return the matrix (q, M) that maps the outputs of the window to its linear coefficients."""
-    X = design_matrix(fit) * fit.weight[:, None] ** 2
-    return np.asarray(np.linalg.solve(fit.triangle, np.linalg.solve(fit.triangle.conj().T, X.conj().T)))
+    return fit.pseudoinverse
 
 
 def poles(fit: WindowFit) -> ComplexArray:
