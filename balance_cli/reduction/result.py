@@ -158,7 +158,7 @@ class RunLoads(ResultView):
         """One row for each component and harmonic, with the columns of a load table."""
         import pandas as pd
 
-        return pd.DataFrame(_rows(self), columns=list(LOAD_TABLE_COLUMNS))
+        return pd.DataFrame(load_rows(self), columns=list(LOAD_TABLE_COLUMNS))
 
 
 @dataclass(frozen=True, repr=False)
@@ -196,11 +196,12 @@ def load_table(loads: HubLoads) -> pd.DataFrame:
     """Return the table with one row per run, component and harmonic (LOADS in docs/files.md)."""
     import pandas as pd
 
-    rows = [row for run in loads.runs.values() for row in _rows(run)]
+    rows = [row for run in loads.runs.values() for row in load_rows(run)]
     return pd.DataFrame(rows, columns=list(LOAD_TABLE_COLUMNS))
 
 
-def _rows(run: RunLoads) -> list[tuple[object, ...]]:
+def load_rows(run: RunLoads) -> list[tuple[object, ...]]:
+    """Return the rows of one run in the table, a value for each of LOAD_TABLE_COLUMNS."""
     from balance_cli.campaign.rig.components import UNIT_OF
 
     rows: list[tuple[object, ...]] = []

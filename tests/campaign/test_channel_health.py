@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
+from balance_cli.campaign.recording.channel_statistics import gather_statistics
 from balance_cli.campaign.recording.run import MemorySource, Run, SampleBlock
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -249,3 +250,26 @@ def test_one_load_point_is_no_evidence() -> None:
     samples, loads = run.read().channels, run.read().loads
     one = replace(run, samples=1, source=MemorySource(samples[:1], None if loads is None else loads[:1]))
     assert len(live_channels(one, RIG).live) == 8
+
+
+@pytest.mark.parametrize("kind", ["coarse", "smooth", "not finite"])
+@pytest.mark.parametrize("block", [97, 1 << 16])
+def test_statistics_of_a_channel_are_those_of_its_definition(monkeypatch, kind, block):
+    monkeypatch.setattr("balance_cli.campaign.recording.channel_statistics.BLOCK_SAMPLES", block)
+    values = np.sin(np.arange(1000) / 7.0) + 0.1 * np.random.default_rng(3).standard_normal(1000)
+    values = np.round(values, 1) if kind != "smooth" else values
+    values[400:430] = 0.5
+    if kind == "not finite":
+        values[[5, 600]] = np.nan
+    (found,) = gather_statistics(record(values), ["c0"])
+    finite = values[np.isfinite(values)]
+    directions = np.sign(np.diff(values))
+    directions = directions[np.isfinite(directions) & (directions != 0.0)]
+    assert found.nonfinite_count == 1000 - len(finite)
+    assert found.repeated_count == np.count_nonzero(values[1:] == values[:-1])
+    assert found.turning_points == np.count_nonzero(np.diff(directions))
+    assert (found.flatline_start, found.flatline_value) == (400 - (values[399] == 0.5), 0.5)
+    assert found.flatline_length == 430 - found.flatline_start + (values[430] == 0.5)
+    distinct, counts = np.unique(finite, return_counts=True)
+    np.testing.assert_array_equal(found.lowest, (distinct[:8], counts[:8]))
+    np.testing.assert_array_equal(found.highest, (distinct[:-9:-1], counts[:-9:-1]))

@@ -253,3 +253,13 @@ def test_spectra_are_on_the_page(folder, tmp_path):
     run = load_artefact(folder / "spectra.h5").runs["wind-1"]
     page = (tmp_path / "p.html").read_text(encoding="utf-8")
     assert f"peak at {run.peak_hz['Fz']:.4g} Hz" in page and "Spectra of hub loads" in page
+
+
+def test_table_of_loads_is_written_as_its_data_frame_would_be(folder, tmp_path):
+    call(
+        "reduce", "--model", folder / "model.h5", DATA / "wind-1.h5", DATA / "check-1.h5", "-o", tmp_path / "loads.csv"
+    )
+    call("reduce", "--model", folder / "model.h5", DATA / "wind-1.h5", DATA / "check-1.h5", "-o", tmp_path / "loads.h5")
+    frame = load_artefact(tmp_path / "loads.h5").to_frame()
+    assert frame.isna().any(axis=None)  # mean loads are not measured without a calibration
+    assert (tmp_path / "loads.csv").read_text() == frame.to_csv(index=False, lineterminator="\n")

@@ -11,7 +11,7 @@ from balance_cli.model.mechanics.dual_numbers import constant, variables
 from balance_cli.model.modes import eigenvalues, modes
 from balance_cli.model.plate import plate_matrices
 from balance_cli.model.response_jacobian import output_jacobian
-from balance_cli.model.system_response import response, solve
+from balance_cli.model.system_response import load_response, response, solve
 from balance_cli.model.transient_modes import transient_modes
 from tests.support.rigs import angular_frequency, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
@@ -28,6 +28,18 @@ def test_response_of_one_degree_of_freedom():
     plate = k / (k - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
     channel = 0.01 * (1j * w * 3.0) / (1 + 1j * w * 3.0) / (1 + 1j * FREQUENCY / 90.0)
     np.testing.assert_allclose(T, plate * channel, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [(), (DeclaredEffect(name="structural-damping", where=("all",), parameters={"loss_factor": 0.03}),)],
+)
+def test_response_without_the_inverse_is_the_same(effects):
+    system = balance_model(rotor_balance().model_copy(update={"effects": effects})).system()
+    expected = response(system, solve(system, FREQUENCY, 17.5))
+    np.testing.assert_allclose(
+        load_response(system, FREQUENCY, 17.5), expected, rtol=1e-9, atol=1e-12 * abs(expected).max()
+    )
 
 
 def test_torque_acts_on_the_shaft_and_not_on_the_plate():

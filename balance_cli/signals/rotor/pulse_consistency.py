@@ -7,12 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
-from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.io.errors import UserError
 from balance_cli.signals.amplitude_spectrum import normalize_channels
-from balance_cli.signals.rotor.spectral_floor import spectral_floor
+from balance_cli.signals.rotor.spectral_floor import local_maxima, spectral_floor
 
 Array = NDArray[np.float64]
 
@@ -155,7 +154,7 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
     power = spectrum.real**2 + spectrum.imag**2
     relative = np.max(power / np.maximum(spectral_floor(power), np.finfo(np.float32).tiny), axis=0)
     relative[:3] = 0.0
-    peak = (relative == maximum_filter1d(relative, 7)) & (relative > LINE_TO_FLOOR)
+    peak = local_maxima(relative) & (relative > LINE_TO_FLOOR)
     index = np.flatnonzero(peak)
     index = index[np.argsort(-relative[index])][:STRONGEST_LINES]
     step = run.sample_rate / samples

@@ -13,6 +13,10 @@ MOST_BLOCKS = 96
 """Blocks of a spectrum at most: the floor follows resonances that are wider than one."""
 
 
+PEAK_REACH = 3
+"""Bins on either side of a line that its main lobe covers under the windows of Hann and Blackman."""
+
+
 def block_size(bins: int) -> int:
     """Return the bins of a block of a spectrum."""
     return max(FEWEST_BINS, -(-bins // MOST_BLOCKS))
@@ -37,6 +41,13 @@ def spectral_floor(power: Real, bins: NDArray[np.int64] | None = None) -> Real:
     for k in np.flatnonzero(~whole):
         medians[:, k] = row_medians(power[:, max(0, low[k]) : high[k]])
     return np.asarray(medians[:, place])
+
+
+def local_maxima(values: Real) -> NDArray[np.bool_]:
+    """Return which values (k,) none within PEAK_REACH bins exceeds; the filter of scipy takes longer to import."""
+    padded = np.pad(values, PEAK_REACH, constant_values=-np.inf)
+    largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * PEAK_REACH + 1).max(axis=1)
+    return np.asarray(values == largest)
 
 
 def row_medians(values: Real) -> Real:

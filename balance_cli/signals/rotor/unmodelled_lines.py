@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.signals.amplitude_spectrum import fast_length, normalize_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.spectral_floor import block_size, spectral_floor
+from balance_cli.signals.rotor.spectral_floor import block_size, local_maxima, spectral_floor
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -231,7 +230,7 @@ def _peaks(frequency: Array, amplitude: Singles, largest: Singles) -> list[tuple
     of_line = np.where(clear, share[:, material], 0.0)
     strongest = np.zeros(len(frequency))
     strongest[material] = of_line.max(axis=0, initial=0.0)
-    top = (strongest == maximum_filter1d(strongest, 7))[material] & (strongest[material] > MATERIAL_SHARE)
+    top = local_maxima(strongest)[material] & (strongest[material] > MATERIAL_SHARE)
     return [
         (float(frequency[i]), int(np.argmax(shares)), float(amplitude[np.argmax(shares), i]))
         for i, shares in zip(material[top], of_line.T[top], strict=True)

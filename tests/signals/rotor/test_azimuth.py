@@ -120,3 +120,14 @@ def test_pulses_that_scatter_by_five_degrees_are_smoothed():
     error = np.degrees(azimuth.psi(times[1:-1]) - 2 * np.pi * np.arange(1, len(times) - 1))
     assert error.std() < 2.5 and np.degrees(azimuth.pulse_scatter) == pytest.approx(5.0, rel=0.2)
     assert error.std() < 1.3 * np.degrees(azimuth.local_error)
+
+
+@pytest.mark.parametrize("most_kept", [0, 2**20])
+def test_azimuth_of_samples_is_that_of_their_times_and_beyond_the_pulses_that_of_the_nearest(monkeypatch, most_kept):
+    monkeypatch.setattr("balance_cli.signals.rotor.azimuth.MOST_KEPT", most_kept)
+    azimuth = azimuth_from_pulses(pulses()[3:])
+    for start, stop in ((0, 900), (700, 17_000), (0, 16_500)):
+        time = np.clip(np.arange(start, stop) / 800.0, azimuth.first, azimuth.last)
+        psi, speed = azimuth.of_samples(800.0, start, stop)
+        np.testing.assert_array_equal(psi, azimuth.psi(time))
+        np.testing.assert_array_equal(speed, azimuth.speed(time))

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults, speed_fault
+from balance_cli.signals.rotor.spectral_floor import local_maxima
 
 SPEED, RATE, DURATION = 11.0, 500.0, 40.0
 
@@ -69,3 +71,10 @@ def test_ratios_of_speeds():
     assert speed_fault(17.0, 17.5) == ""
     assert "3 times" in speed_fault(52.4, 17.5)
     assert "in 8 revolutions" in speed_fault(2.19, 17.5)
+
+
+def test_local_maxima_are_those_of_a_maximum_filter():
+    values = np.random.default_rng(0).integers(0, 9, 500).astype(np.float32)
+    for length in (1, 5, 500):
+        expected = values[:length] == maximum_filter1d(values[:length], 7)
+        np.testing.assert_array_equal(local_maxima(values[:length]), expected)
