@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -24,6 +25,8 @@ LEAST_COMMON_LENGTH = 0.9
 half or less."""
 LATEST_START = 1e12
 """[s]. Clocks count from the year 0 at the earliest."""
+SPECTRUM_WORDS = re.compile(r"\b(FFT|PSD|ASD|FRF|(auto|cross|power)?[- ]?spectr(um|al)\w*|spektrum)\b", re.IGNORECASE)
+"""Names of what analyzers export beside records, with frequencies in a column that may be called time."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,10 @@ class ChannelFinder:
         if channel.group.unusable:
             fault = f"is {channel.group.unusable}"
             raise UserError(fault, str(channel.file.path), f"channel `{name}`", "Leave it out of the map")
+        if SPECTRUM_WORDS.search(f"{channel.name} {channel.unit}"):
+            fault = "seems to be a spectrum, and no record in time"
+            remedy = "Export the samples in time, or rename the channel in the file if it is one"
+            raise UserError(fault, str(channel.file.path), f"channel `{name}`", remedy)
         return channel
 
     def _find_in_file(self, key: str) -> FoundChannel | None:

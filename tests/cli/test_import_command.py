@@ -371,3 +371,19 @@ def test_two_channels_of_one_name_are_refused_with_the_names_that_tell_them_apar
     mapping = base_map(time="column 1", channels={"column 2": {"name": "a", "unit": "V"}}, runs=runs)
     result = run_import(tmp_path, mapping, tmp_path / "force-1.txt", tmp_path / "accel-1.txt", status=2)
     assert "accel-1.txt/column 2" in result.stderr
+
+
+def test_a_spectrum_with_a_column_called_time_is_refused(tmp_path):
+    """LabVIEW writes spectra like records: `X_Dimension Time`, `Delta_X`."""
+    head = "LabVIEW Measurement\t\nX_Columns\tMulti\n***End_of_Header***\t\n\t\nChannels\t1\t\nX_Dimension\tTime\t\n"
+    head += "X0\t0.0\t\nDelta_X\t0.128\t\n***End_of_Header***\t\t\nX_Value\tAcceleration (FFT - (RMS))\tComment\n"
+    rows = "".join(f"{0.128 * k:.6f}\t{-60 + 5 * np.cos(k):.6f}\n" for k in range(60))
+    (tmp_path / "tap.lvm").write_text(head + rows)
+    channels = {"Acceleration": {"name": "a", "unit": "m/s2", "scale": 1}}
+    result = run_import(
+        tmp_path,
+        base_map(channels=channels, runs=[{"file": "*", "run": "tap", "kind": "zero"}]),
+        tmp_path / "tap.lvm",
+        status=2,
+    )
+    assert "seems to be a spectrum" in result.stderr
