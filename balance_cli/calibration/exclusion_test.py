@@ -23,26 +23,62 @@ Mask = NDArray[np.bool_]
 
 COARSEST_RESOLUTION = 1e-2
 """Of the range of a channel: in coarser steps no display reads, and computed readings are round numbers by design."""
+SERIES_SIGNIFICANCE_LEVEL = 0.05
+"""Probability that the worst row of a load series stands out so far among its others, whose scatter few rows tell."""
+SERIES_PARAMETERS = 2
+"""Coefficients that a load series with one load alone tells: its zero and the response to that load."""
 FINEST_RESOLUTION = 1e-7
 """Of the range of a channel: finer steps are beyond any converter."""
 
 
-def is_beyond_chance(
+def rows_of_chance(
     points: CalibrationPoints, included: CalibrationPoints, fit: CalibrationModelFit, excluded: Mask
-) -> bool:
-    """Whether the `fit` of the included rows is better without the excluded rows (m,) than chance explains."""
+) -> Mask:
+    """The excluded rows (m,) without which the `fit` of the included ones is no better than chance explains.
+
+    These are all of them, or those of load series whose other rows scatter as much.
+    """
+    gain = _Gain(points, included, fit)
+    n = int(np.count_nonzero(included.weight > 0))
     k = int(np.count_nonzero(excluded))
-    with_them = replace(included, weight=np.where(excluded, points.weight, included.weight))
-    before = _square_sums(with_them, refit_terms(with_them, fit.model))
-    dof = np.maximum(fit.model.dof, 1.0)
-    rounding = dof * float(np.mean(included.weight[included.weight > 0])) * _resolution(with_them) ** 2 / 12.0
-    after = np.maximum(_square_sums(included, fit), np.maximum(rounding, np.finfo(float).tiny))
-    before = np.maximum(before, after)
-    p = stats.f.sf((before - after) / k / (after / dof), float(k), dof)
-    n = int(np.count_nonzero(with_them.weight > 0))
-    tests = np.log(len(p)) + gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
-    least = max(float(np.min(p)), np.finfo(float).tiny)
-    return bool(np.log(least) + tests <= np.log(OUTLIER_SIGNIFICANCE_LEVEL))
+    p = gain.p_values(excluded, gain.variance, gain.dof)
+    tests = np.log(len(p)) + gammaln(n + k + 1) - gammaln(k + 1) - gammaln(n + 1)
+    if np.log(max(float(np.min(p)), np.finfo(float).tiny)) + tests > np.log(OUTLIER_SIGNIFICANCE_LEVEL):
+        return excluded
+    chance = np.zeros_like(excluded)
+    for series in np.unique(points.load_series[excluded]).tolist():
+        members = points.load_series == series
+        others = members & (included.weight > 0)
+        dof = np.count_nonzero(others) - SERIES_PARAMETERS
+        if dof < 1:
+            continue
+        own = np.maximum(_square_sums(included, fit, others) / dof, gain.variance)
+        rows = members & excluded
+        channel = int(np.argmin(gain.p_values(rows, gain.variance, gain.dof)))
+        by_series = gain.p_values(rows, own, np.full(len(own), float(dof)))[channel]
+        if by_series * np.count_nonzero(members) > SERIES_SIGNIFICANCE_LEVEL:
+            chance |= rows
+    return chance
+
+
+class _Gain:
+    """What a fit gains by leaving rows out: `variance` (c,) of its residuals with their `dof` (c,)."""
+
+    def __init__(self, points: CalibrationPoints, included: CalibrationPoints, fit: CalibrationModelFit) -> None:
+        self.points, self.included, self.fit = points, included, fit
+        self.dof = np.maximum(fit.model.dof, 1.0)
+        used = included.weight > 0
+        rounding = float(np.mean(included.weight[used])) * _resolution(points) ** 2 / 12.0
+        variance = _square_sums(included, fit, used) / self.dof
+        self.variance = np.maximum(variance, np.maximum(rounding, np.finfo(float).tiny))
+
+    def p_values(self, rows: Mask, variance: Array, dof: Array) -> Array:
+        """P-value (c,) of the mean shift of some rows (m,) among errors of a variance (c,) with so many `dof`."""
+        with_rows = replace(self.included, weight=np.where(rows, self.points.weight, self.included.weight))
+        before = _square_sums(with_rows, refit_terms(with_rows, self.fit.model), with_rows.weight > 0)
+        gain = np.maximum(before - _square_sums(self.included, self.fit, self.included.weight > 0), 0.0)
+        k = float(np.count_nonzero(rows))
+        return np.asarray(stats.f.sf(gain / k / variance, k, dof))
 
 
 def _resolution(points: CalibrationPoints) -> Array:
@@ -60,6 +96,6 @@ def _resolution(points: CalibrationPoints) -> Array:
     return step
 
 
-def _square_sums(points: CalibrationPoints, fit: CalibrationModelFit) -> Array:
-    """Weighted sum of the squared residuals of each channel (c,)."""
-    return np.asarray(np.nansum(points.weight[:, None] * fit.residuals**2, axis=0))
+def _square_sums(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> Array:
+    """Weighted sum (c,) of the squared residuals of some rows (m,)."""
+    return np.asarray(np.nansum(points.weight[rows, None] * fit.residuals[rows] ** 2, axis=0))

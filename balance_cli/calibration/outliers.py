@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.exclusion_test import is_beyond_chance
+from balance_cli.calibration.exclusion_test import rows_of_chance
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gross_outliers import gross_outlier_candidates, misplaced_rows
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
@@ -116,7 +116,9 @@ def _include_rows_of_chance(
 ) -> tuple[Mask, CalibrationModelFit, tuple[str, ...]]:
     """Include the excluded rows (m,) where so few rows are left that these may fit well by chance alone."""
     standing_out = excluded & ~misplaced_rows(points)
-    if not standing_out.any() or is_beyond_chance(points, included, fit, standing_out):
+    if standing_out.any():
+        standing_out = rows_of_chance(points, included, fit, standing_out)
+    if not standing_out.any():
         return excluded, fit, notes
     rows = np.flatnonzero(standing_out)
     names = ", ".join(f"{points.run_names[points.run[row]]} row {_row_in_run(points, row)}" for row in rows.tolist())
