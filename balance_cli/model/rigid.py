@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix
 from balance_cli.campaign.rig.torque_meter import shaft_inputs, twist_rows
 from balance_cli.model.damping import modal_damping
@@ -85,14 +87,29 @@ def _plate(geometry: Geometry, value: Mapping[str, Dual]) -> tuple[Dual, Dual, D
     for name in INERTIA_NAMES:
         mass = mass + value[f"inertia.{name}"] * _inertia_pattern(name)
     center = [value[f"centre_of_gravity.{axis}"] for axis in "xyz"]
-    B, F = elongation_matrix(geometry, np.zeros(3)), load_matrix(geometry, np.zeros(3))
+    (B, of_elongation), (F, of_inputs) = _elongation_by_center(geometry), _inputs_by_center(geometry)
     elongation, inputs = constant(B, mass.parameters), constant(F, mass.parameters)
-    for coordinate, unit in zip(center, np.eye(3), strict=True):
-        elongation = elongation + coordinate * (elongation_matrix(geometry, unit) - B)
-        inputs = inputs + coordinate * (load_matrix(geometry, unit) - F)
+    for coordinate, change, input_change in zip(center, of_elongation, of_inputs, strict=True):
+        elongation = elongation + coordinate * change
+        inputs = inputs + coordinate * input_change
     return mass[np.ix_(free, free)], elongation[:, free], inputs[free]
 
 
+@cached_by_identity
+def _elongation_by_center(geometry: Geometry) -> tuple[Array, list[Array]]:
+    """B (cells, 6) with the center of gravity at the origin, and its change (cells, 6) with each coordinate of it."""
+    B = elongation_matrix(geometry, np.zeros(3))
+    return B, [elongation_matrix(geometry, unit) - B for unit in np.eye(3)]
+
+
+@cached_by_identity
+def _inputs_by_center(geometry: Geometry) -> tuple[Array, list[Array]]:
+    """F (6, 6) with the center of gravity at the origin, and its change (6, 6) with each coordinate of it."""
+    F = load_matrix(geometry, np.zeros(3))
+    return F, [load_matrix(geometry, unit) - F for unit in np.eye(3)]
+
+
+@cache
 def _inertia_pattern(name: str) -> Array:
     """The derivative (6, 6) of M by one of the six inertia numbers; products enter with a minus sign."""
     i, j = "xyz".index(name[0]), "xyz".index(name[1])

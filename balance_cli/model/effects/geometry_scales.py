@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.campaign.rig.kinematics import motion_at
 
 Array = NDArray[np.float64]
@@ -24,6 +25,7 @@ def transverse_axes(axis: Array) -> tuple[Array, Array]:
     return first, np.cross(axis, first)
 
 
+@cached_by_identity
 def stiffness_by_motion(geometry: Geometry) -> dict[str, float]:
     """Stiffness of the cells against each motion x y z [N/m] psi theta phi [N m/rad] of the plate about the origin."""
     rows = np.array([cell.direction @ motion_at(np.array(cell.position)) for cell in geometry.cells])

@@ -23,6 +23,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.campaign.rig.torque_meter import FREEDOM_ABOUT
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, rig_length, stiffness_by_motion
@@ -190,13 +191,19 @@ def _restarts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
 
 def _bounded_stiffness_ratios(inertia: Dual, compliance: Dual, geometry: Geometry, where: Where) -> Dual:
     """Inertia over compliance (m,), both bounded away from zero, where a square root has no derivative."""
-    parameters = {item.name: item for item in _parameters(geometry, where)}
+    scale = _parameter_scales(geometry, where)
     ratios = [
-        clip_below(inertia[i], FLOOR * parameters[_inertia_name(name)].scale)
-        * clip_below(compliance[i], FLOOR * parameters[f"compliance_{name}"].scale).reciprocal()
+        clip_below(inertia[i], FLOOR * scale[_inertia_name(name)])
+        * clip_below(compliance[i], FLOOR * scale[f"compliance_{name}"]).reciprocal()
         for i, name in enumerate(where)
     ]
     return stack(ratios)
+
+
+@cached_by_identity
+def _parameter_scales(geometry: Geometry, where: Where) -> dict[str, float]:
+    """The scale of each parameter, by name."""
+    return {item.name: item.scale for item in _parameters(geometry, where)}
 
 
 EFFECT = Effect(
