@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.selection import effect_selection
-from balance_cli.diagnosis.selection.effect_selection import narrow_places
+from balance_cli.diagnosis.selection.effect_selection import narrow_places, refit_without_effect
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measurements import stack_runs
@@ -65,3 +65,23 @@ def test_where_something_is_lost_together_motions_are_removed_one_by_one(wide, m
     (effect,) = declared_effects(narrow.model.geometry)
     assert "z" in effect.where
     assert [trial.decision for trial in trials] == ["narrowed"] * len(trials)
+
+
+def test_a_refit_without_an_effect_is_made_once_for_a_fit_its_lines_and_settings(wide, monkeypatch):
+    fit, batches = wide
+    fit, fits = replace(fit, reduced={}), []
+
+    def counted(model, theta, batches, settings, iterations=1):
+        fits.append(len(batches))
+        return fit_all_lines(model, theta, batches, settings, iterations)
+
+    monkeypatch.setattr(effect_selection, "fit_all_lines", counted)
+    (support,) = declared_effects(fit.model.geometry)
+    first = refit_without_effect(fit, support, batches, SETTINGS.fit)
+    assert refit_without_effect(fit, support, list(batches), SETTINGS.fit) is first
+    assert not declared_effects(first.model.geometry)
+    coarse = replace(SETTINGS.fit, comparison_tolerance=1.0)
+    assert refit_without_effect(fit, support, batches, coarse) is not first
+    others = [replace(batch) for batch in batches]
+    assert refit_without_effect(fit, support, others, coarse) is not first
+    assert len(fits) == 3

@@ -16,7 +16,7 @@ from balance_cli.diagnosis.selection.effect_statistics import (
     shape_parameter_count,
     wald_statistic,
 )
-from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
+from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, unexplained_chi2
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
@@ -32,9 +32,14 @@ REASON_NOT_SUPPORTED = "what no effect explains is larger and could look like it
 
 
 def refit_without_effect(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: FitSettings) -> Fit:
-    """Return the refit of the model without an effect."""
+    """Return the refit of the model without an effect, made once for each fit."""
+    known = fit.reduced.get(effect.label)
+    if known is not None and known.is_of(batches, settings):
+        return known.fit
     model, theta = extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect))
-    return fit_all_lines(model, theta, batches, settings)
+    reduced = fit_all_lines(model, theta, batches, settings)
+    fit.reduced[effect.label] = ReducedFit(reduced, tuple(batches), settings)
+    return reduced
 
 
 def keep_effects(

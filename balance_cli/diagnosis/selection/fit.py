@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fit:
-    """A model and its maximum-likelihood fit on all lines."""
+    """A model and its maximum-likelihood fit on all lines.
+
+    `reduced`: refits without one of its effects, by label, that were made of this fit, each with its lines and
+    settings. Removal and comparison of effects ask for the same ones, which may take a minute each.
+    """
 
     model: BalanceModel
     minimum: Minimum
+    reduced: dict[str, ReducedFit] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def theta(self) -> Array:
@@ -33,6 +39,20 @@ class Fit:
     def chi2(self) -> float:
         """Chi-square of data and priors."""
         return self.minimum.total.chi2
+
+
+@dataclass(frozen=True)
+class ReducedFit:
+    """A refit without an effect, and the lines and settings it was made with."""
+
+    fit: Fit
+    batches: tuple[Batch, ...]
+    settings: FitSettings
+
+    def is_of(self, batches: Sequence[Batch], settings: FitSettings) -> bool:
+        """Whether it was made of these very lines, with the same settings."""
+        is_same = len(batches) == len(self.batches) and all(map(operator.is_, batches, self.batches))
+        return is_same and settings == self.settings
 
 
 def fit_all_lines(
