@@ -21,6 +21,7 @@ from balance_cli.diagnosis.result import (
     Trial,
 )
 from balance_cli.diagnosis.selection.fit import Fit
+from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.diagnosis.worth import effect_worth
@@ -141,6 +142,7 @@ def describe_added_effects(
     update: UpdateResult,
     intervals: Mapping[str, tuple[float, float]],
     batches: Sequence[Batch],
+    settings: SearchSettings,
 ) -> tuple[FoundEffect, ...]:
     """Return the effects that the update has added, with their evidence, strongest first.
 
@@ -162,7 +164,7 @@ def describe_added_effects(
                 name=described.name,
                 where=described.where,
                 parameters=parameters,
-                evidence=_evidence(effect, update),
+                evidence=_evidence(effect, update, batches, settings),
                 indistinguishable_from=support.equivalent,
                 separated_by=effect.effect.separated_by if support.equivalent else "",
                 choice=described.choice,
@@ -172,15 +174,18 @@ def describe_added_effects(
     return tuple(sorted(effects, key=lambda item: -item.evidence.gain))
 
 
-def _evidence(effect: PlacedEffect, update: UpdateResult) -> Evidence:
+def _evidence(
+    effect: PlacedEffect, update: UpdateResult, batches: Sequence[Batch], settings: SearchSettings
+) -> Evidence:
     support = update.effect_support[effect.label]
     count = len(update.confirmation.scores) if support.candidates is None else support.candidates
+    tests = count * frequency_looks(update.fit, effect, batches, settings)
     trial = next((item for item in update.trials if _added(item, effect.label)), None)
     noise_dof = float("inf") if trial is None or trial.noise_dof is None else trial.noise_dof
     return Evidence(
         gain=support.gain,
         parameters=support.parameters,
-        p_value=bonferroni_p_value(support.gain, max(support.parameters, 1), count, noise_dof),
+        p_value=bonferroni_p_value(support.gain, max(support.parameters, 1), tests, noise_dof),
         score=trial.score if trial else float("nan"),
         cross_validation_gain=trial.cross_validation_gain if trial else float("nan"),
         round=trial.round if trial else 0,

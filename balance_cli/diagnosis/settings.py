@@ -160,6 +160,8 @@ class MainsFrequencySettings:
     """Distance from the fitted frequency [Hz] that is searched: grids keep within 0.2 Hz."""
     spacing: float = 0.005
     """Spacing of the grid [Hz]: the main lobe of a one-minute record is 0.03 Hz wide."""
+    looks_per_lobe: float = 2.0
+    """Looks in each lobe of 1/T: so counted, the p-value of chi-square bounds the gains of tones in simulated noise."""
     amplitude_range: float = 30.0
     """Factor by which the amplitude may be larger or smaller: beside a main lobe it is fitted far too small."""
     amplitude_count: int = 60
@@ -196,6 +198,8 @@ class SelectionSettings:
     """Share of the unexplained chi-square that an effect must take off: any effect can imitate a little of another."""
     strong_gain: float = 1e3
     """Gain of chi-square above which Wald's statistic is enough and no refit without the effect is needed."""
+    hurried_steps: int = 3
+    """Steps of a refit without a needless effect once the time is over: the first is the linear one, two correct it."""
     max_refits: int = 4
     """Candidates of a round that are refitted."""
     refit_score_deficit: float = 12.0

@@ -37,7 +37,7 @@ def gain_p_value(gain: float, parameters: int, noise_dof: float = np.inf) -> flo
     return float(f.sf(gain / parameters, parameters, noise_dof))
 
 
-def bonferroni_p_value(gain: float, parameters: int, count: int, noise_dof: float = np.inf) -> float:
+def bonferroni_p_value(gain: float, parameters: int, count: float, noise_dof: float = np.inf) -> float:
     """Return the p-value of the best gain among `count` candidates (Bonferroni)."""
     return min(1.0, count * gain_p_value(gain, parameters, noise_dof))
 

@@ -72,7 +72,7 @@ def diagnose(
     residual = residual_map(batches, before, after, settings.residual_map)
     intervals = mass_intervals(fit.model, fit.theta, batches, settings)
     effects = describe_added_effects(
-        declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches
+        declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches, settings
     )
     left_out = None if exclusion is None else exclusion.left_out
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)

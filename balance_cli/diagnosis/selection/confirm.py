@@ -18,6 +18,7 @@ from balance_cli.diagnosis.selection.candidate_refits import first_steps_of_unce
 from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain
 from balance_cli.diagnosis.selection.effect_statistics import confounding_limit
 from balance_cli.diagnosis.selection.fit import Fit, unexplained_chi2
+from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
@@ -198,7 +199,8 @@ def _best_refit(fit: Fit, scores: Sequence[Score], refits: Sequence[Fit], settin
 
 def _rejection_reason(context: _RoundContext, score: Score, gain: float, validation: float) -> str:
     """Why the best candidate is not accepted; empty where it is."""
-    p_value = bonferroni_p_value(gain, score.parameters, len(context.scores), score.noise_dof)
+    looks = frequency_looks(context.fit, score.candidate.placed_effect, context.batches, context.settings)
+    p_value = bonferroni_p_value(gain, score.parameters, looks * len(context.scores), score.noise_dof)
     if p_value >= context.settings.selection.significance_level:
         return "chance would gain as much"
     # NaN, where all information is in one fold, is no reason to reject.

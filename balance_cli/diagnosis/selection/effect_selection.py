@@ -17,9 +17,11 @@ from balance_cli.diagnosis.selection.effect_statistics import (
     wald_statistic,
 )
 from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, unexplained_chi2
+from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.maximum_likelihood import ITERATIONS
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
@@ -31,14 +33,17 @@ REASON_NOT_NEEDED = "later effects have made it needless"
 REASON_NOT_SUPPORTED = "what no effect explains is larger and could look like it"
 
 
-def refit_without_effect(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: FitSettings) -> Fit:
-    """Return the refit of the model without an effect, made once for each fit."""
+def refit_without_effect(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: FitSettings, iterations: int = ITERATIONS
+) -> Fit:
+    """Return the refit of the model without an effect, made once for each fit unless of fewer iterations."""
     known = fit.reduced.get(effect.label)
     if known is not None and known.is_of(batches, settings):
         return known.fit
     model, theta = extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect))
-    reduced = fit_all_lines(model, theta, batches, settings)
-    fit.reduced[effect.label] = ReducedFit(reduced, tuple(batches), settings)
+    reduced = fit_all_lines(model, theta, batches, settings, iterations)
+    if iterations == ITERATIONS:
+        fit.reduced[effect.label] = ReducedFit(reduced, tuple(batches), settings)
     return reduced
 
 
@@ -69,27 +74,30 @@ def prune_effects(
 ) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model without effects, and without motions of effects, that others have made unnecessary.
 
-    Once `announce` says that the time is over, the remaining effects stay as they are.
+    Once `announce` says that the time is over, Wald's statistic decides, a few steps take the others to where they then
+    belong, and no place is narrowed: what chance explains is never left in.
 
     A shape of several parameters adapts to the noise, so that these count as well (Davies, Biometrika 64 (1977)
     247: the supremum over parameters that are unidentifiable at the null).
     """
     limits, trials = settings.selection, list[Trial]()
     for effect in sorted(declared_effects(fit.model.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
-        if announce(f"need of {effect.label}"):
-            break
+        over = announce(f"need of {effect.label}")
         gain, parameters = effect_wald_statistic(fit, effect)
         fitted = max(parameters, 1) + shape_parameter_count(fit, effect)
+        tests = count * frequency_looks(fit, effect, batches, settings)
         weak = gain < limits.strong_gain
-        if weak and bonferroni_p_value(gain, fitted, count) >= limits.significance_level:
-            reduced = refit_without_effect(fit, effect, batches, settings.fit)
-            gain = reduced.chi2 - fit.chi2
-            if bonferroni_p_value(gain, fitted, count) >= limits.significance_level:
-                trials.append(_removal_trial(number, effect, parameters, gain, REASON_NOT_NEEDED))
+        if weak and bonferroni_p_value(gain, fitted, tests) >= limits.significance_level:
+            steps = limits.hurried_steps if over else ITERATIONS
+            reduced = refit_without_effect(fit, effect, batches, settings.fit, steps)
+            lost = reduced.chi2 - fit.chi2
+            if over or bonferroni_p_value(lost, fitted, tests) >= limits.significance_level:
+                trials.append(_removal_trial(number, effect, parameters, lost, REASON_NOT_NEEDED))
                 fit = reduced
                 continue
-        fit, narrowed = _narrow_place(fit, effect, batches, number, settings)
-        trials += narrowed
+        if not over:
+            fit, narrowed = _narrow_place(fit, effect, batches, number, settings)
+            trials += narrowed
     return fit, tuple(trials)
 
 

@@ -26,6 +26,32 @@ from balance_cli.model.system_response import solve
 Array = NDArray[np.float64]
 
 
+def frequency_looks(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: SearchSettings) -> float:
+    """Return by how many times the gain of a tone at its best frequency is likelier by chance; one for other effects.
+
+    The frequency is not identifiable without the tone, and the gain is the largest of all that were looked at (Davies,
+    Biometrika 64 (1977) 247): near each of its starts as many as a record resolves.
+    """
+    search = effect.effect.search
+    if search.tone is None:
+        return 1.0
+    starts = len(search.starts(fit.model.geometry, effect.where)) if search.starts else 1
+    lobes = 2.0 * settings.mains.search_range * _longest_record(batches)
+    return max(1.0, starts * settings.mains.looks_per_lobe * lobes)
+
+
+def _longest_record(batches: Sequence[Batch]) -> float:
+    """The longest time [s] over which a line was sampled; zero without a time axis."""
+    longest = 0.0
+    for batch in batches:
+        for run in batch.runs:
+            frequency = batch.line_frequency[run.lines]
+            sampling = None if run.waveform is None else run.waveform.bin_sampling(frequency, run.window)
+            if sampling is not None:
+                longest = max(longest, float(sampling.step * sampling.count.max(initial=0)))
+    return longest
+
+
 def refit_at_best_frequency(
     fit: Fit, effects: Sequence[PlacedEffect], batches: Sequence[Batch], settings: SearchSettings
 ) -> Fit:
