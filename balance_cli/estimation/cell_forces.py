@@ -129,7 +129,7 @@ def _run_cell_forces(
     shape = (len(index), len(system.equations.stiffness.value))
     inputs = SpringInputs(np.zeros(shape, complex), np.zeros(shape, complex))
     force_derivatives: list[ForceDerivatives] = []
-    for force, through_time, columns in _force_histories(waveform, system, derivatives):
+    for force, _, through_time, columns in _force_histories(waveform, system, derivatives):
         if force.values.value[0] != 0.0:
             amplitudes = waveform.to_bins(through_time.value)
             inputs.acting[:, force.spring] += amplitudes
@@ -142,8 +142,16 @@ def _run_cell_forces(
     return RunCellForces(lines, waveform, solution, index, inputs if present else None, tuple(force_derivatives))
 
 
-def _force_histories(waveform: Waveform, system: System, derivatives: bool) -> Iterator[tuple[CellForce, Dual, Index]]:
-    """Each force as a function of time, with derivatives by the parameters `columns`."""
+def record_force_histories(waveform: Waveform, system: System) -> Iterator[tuple[CellForce, Array, Array]]:
+    """Each force of a record that is not zero, with the elongation [m] of its spring and the force [N] in time (n,)."""
+    for force, d, through_time, _ in _force_histories(waveform, system, derivatives=False):
+        yield force, d, through_time.value
+
+
+def _force_histories(
+    waveform: Waveform, system: System, derivatives: bool
+) -> Iterator[tuple[CellForce, Array, Dual, Index]]:
+    """Each force and its spring's elongation as functions of time; derivatives by the parameters `columns`."""
     unmixed = _unmix(waveform, system)
     for spring in dict.fromkeys(force.spring for force in system.equations.forces):
         forces = [force for force in system.equations.forces if force.spring == spring]
@@ -152,10 +160,11 @@ def _force_histories(waveform: Waveform, system: System, derivatives: bool) -> I
         d = _elongation(waveform, system, unmixed, spring, present, columns)
         for force in forces:
             if force.values.value[0] != 0.0:
-                yield force, _force_history(force, d, columns, waveform.is_periodic), columns
+                yield force, d.value, _force_history(force, d, columns, waveform.is_periodic), columns
             elif derivatives:
                 own = np.flatnonzero(force.values.derivative[:, 0])
-                yield force, _force_history(force, constant(d.value, len(own)), own, waveform.is_periodic), own
+                unvaried = constant(d.value, len(own))
+                yield force, d.value, _force_history(force, unvaried, own, waveform.is_periodic), own
 
 
 def _force_history(force: CellForce, d: Dual, columns: Index, is_periodic: bool) -> Dual:

@@ -65,7 +65,8 @@ class RotorRecord:
 
     `components` are those that the balance carries. At a `fixed_frequency` the azimuth is that of a tone, which turns
     with no rotor. `rotor` is the number of the rotor whose azimuth it is. The lines of the others have been taken out
-    of `run`, but for those that are `confounded` with its harmonics.
+    of `run`, but for those that are `confounded` with its harmonics. `recorded`: the run with the contribution of
+    nonlinear forces, which `run` does not have.
     """
 
     run: Run
@@ -77,6 +78,7 @@ class RotorRecord:
     rotor: int = 1
     other_rotors: tuple[Azimuth, ...] = ()
     confounded: tuple[ConfoundedLine, ...] = ()
+    recorded: Run | None = None
 
     @property
     def spin(self) -> float:
@@ -126,7 +128,7 @@ def _record(
     other: OtherLines = NO_OTHER_LINES,
 ) -> RotorRecord:
     """Return the harmonics of a run over an azimuth, from the end of its start transient on."""
-    run = source.remove_nonlinear_contribution(run, health.live)
+    recorded, run = run, source.remove_nonlinear_contribution(run, health.live)
     start = _steady_revolution(run, azimuth, source, health)
     signals = health.live + (COMPONENTS if run.has_loads else ())
     lines = with_free_decays(other, run, azimuth, start, source)
@@ -135,7 +137,7 @@ def _record(
         return estimate_harmonics(of, azimuth, max_harmonic, names=signals, first_revolution=start, other=beside)
 
     if not lines.exponents or response_is_constant(run, azimuth, start, max_harmonic, source):
-        return RotorRecord(run, health, azimuth, harmonics(run, lines), carried_components(geometry))
+        return RotorRecord(run, health, azimuth, harmonics(run, lines), carried_components(geometry), recorded=recorded)
     spectra = harmonics(run, other)
     for _ in range(MOST_MODULATION_PASSES):
         even = _without_speed_modulation(run, azimuth, spectra, geometry, source, health)
@@ -144,7 +146,7 @@ def _record(
         before, spectra = spectra.amplitude[1:], harmonics(even, lines)
         if np.linalg.norm(spectra.amplitude[1:] - before) < LARGEST_RESPONSE_CHANGE * np.linalg.norm(before):
             break
-    return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
+    return RotorRecord(run, health, azimuth, spectra, carried_components(geometry), recorded=recorded)
 
 
 def _without_speed_modulation(

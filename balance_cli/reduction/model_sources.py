@@ -96,9 +96,13 @@ class ModelSource:
         solution = solve(self.system, frequency, spin)
         jacobian = output_jacobian(self.system, solution, np.arange(len(solution.frequency)), loads)
         J = np.concatenate([jacobian.real, jacobian.imag], axis=1)
+        return np.asarray(J @ self.parameter_covariance @ J.swapaxes(1, 2))
+
+    @property
+    def parameter_covariance(self) -> Array:
+        """Covariance (p, p) of the free parameters, times the misfit of the model to its data."""
         free = self.model.parameters.declared_sigma > 0
-        covariance = self.model.covariance[np.ix_(free, free)] * self.model.misfit_scale**2
-        return np.asarray(J @ covariance @ J.swapaxes(1, 2))
+        return np.asarray(self.model.covariance[np.ix_(free, free)] * self.model.misfit_scale**2)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
 from balance_cli.reduction.reliability import UnnoticedErrors, unnoticed_errors
 from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
@@ -79,6 +80,7 @@ def reduce_record(
     mean_solution = (
         unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
     )
+    mean_solution = add_resting_forces(mean_solution, record, geometry, source, zero is not None)
     response = harmonic_response(record, geometry, source)
     solved = harmonic_loads(record, geometry, source, response)
     harmonic_solution = add_dynamic_error(solved, record, geometry, source)

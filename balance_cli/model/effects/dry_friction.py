@@ -71,7 +71,7 @@ def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     spring = equations.springs.index(where[0])
     shape = partial(_friction_force, least_force=LEAST_FORCE_SHARE * _cell(geometry, where).full_range)
-    force = CellForce(spring, stack([values["force"], values["stick_stiffness"]]), shape, read=False)
+    force = CellForce(spring, stack([values["force"], values["stick_stiffness"]]), shape, read=False, held=_held_force)
     return equations.with_force(force)
 
 
@@ -83,6 +83,11 @@ def _friction_force(d: Dual, values: Dual, is_periodic: bool, least_force: float
     last, direction = find_last_slip(d.value, float(1.0 / stiffness.value), is_periodic)
     since = Dual(d.value[last], d.derivative[:, last]) * (last >= 0)
     return (d - since) * stiffness + direction
+
+
+def _held_force(values: Array, span: float) -> float:
+    """The largest force that may be left: |d - w| <= F / kappa holds at both ends of the span."""
+    return float(max(values[0] - 0.5 * values[1] * span, 0.0))
 
 
 def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArray[np.intp], Array]:

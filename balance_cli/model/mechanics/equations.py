@@ -82,12 +82,15 @@ class CellForce:
     `values` (q,): the strength, zero where there is no such force, then the parameters of the shape. `shape` takes
     d (n,) over time, the values, and whether the n elongations are periodic (otherwise the spring was unloaded before
     the first). `read`: the force acts inside the cell, whose channels read it; beside the cell they do not.
+    `held`, of a force with a memory: the largest size [N] that it may keep at rest, by the values (q,) and by the
+    distance [m] through which d has moved since nobody knew it; None of forces that d alone determines.
     """
 
     spring: int
     values: Dual
     shape: Callable[[Dual, Dual, bool], Dual]
     read: bool
+    held: Callable[[Array, float], float] | None = None
 
 
 @dataclass(frozen=True)
