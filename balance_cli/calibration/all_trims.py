@@ -18,7 +18,8 @@ from balance_cli.calibration.outliers import Outlier, ScreenedFit
 from balance_cli.calibration.own_products import own_product_notes
 from balance_cli.calibration.random_terms import fit_random_terms
 from balance_cli.calibration.series_alarm import unpredicted_series
-from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
+from balance_cli.calibration.suspect_series import SuspectLoadSeries
+from balance_cli.calibration.swapped_channels import find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.untested_products import UntestedProducts, find_untested_products

@@ -1,4 +1,4 @@
-"""Load series in which a channel has a wrong gain, and channels that are swapped.
+"""Load series in which a channel has a wrong gain.
 
 A load series is compared with predictions from the other ones, never with a fit that includes it.
 """
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
+from balance_cli.calibration.gain_scatter import gain_scatter
 from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.own_products import explaining_products
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
 from balance_cli.calibration.series_causes import series_cause
-from balance_cli.calibration.term_choice import LINEAR_TERMS, TermChoice
+from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED, TermChoice
 from balance_cli.calibration.terms import term_values
 from balance_cli.signals import distributions as stats
 
@@ -39,10 +40,6 @@ AMBIGUITY_FACTOR = 1.5
 """Another series is named as an alternative where excluding it leaves at most this multiple of the least misfit."""
 MAX_SCALED_SQUARE = 100.0
 """Squared error over noise at which errors are clipped (10 sigma), so that a second bad series does not decide."""
-MIN_SWAPPED_COSINE = 0.95
-"""Cosine of a channel's sensitivities with those declared for the other channel, in both of a swapped pair at least."""
-MAX_OWN_COSINE = 0.8
-"""Cosine with its own declared sensitivities, in either channel of a swapped pair at most."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +100,13 @@ def exclude_suspect_series(
 
 
 def _fit_and_find_worst(points: CalibrationPoints, choice: TermChoice) -> tuple[CalibrationModelFit, _Exclusion | None]:
+    """The fit, and the worst series: of loads alone the terms that the balance has are searched for here only."""
     fit = fit_calibration_model(points, choice)
-    return fit, _worst_series(points, fit, fit if choice.is_linear else fit_calibration_model(points, LINEAR_TERMS))
+    if not choice.is_linear:
+        return fit, _worst_series(points, fit, fit_calibration_model(points, LINEAR_TERMS))
+    if not any(check.channels for check in _find_suspect_series(points, fit).values()):
+        return fit, None
+    return fit, _worst_series(points, fit_calibration_model(points, SEARCHED), fit)
 
 
 def _worst_series(
@@ -185,7 +187,16 @@ def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) ->
         channels = _suspect_channels(points, fit, rows, description, known) if known.any() else []
         if channels or unpredicted:
             by_series[name] = _SeriesCheck(channels, unpredicted)
-    return by_series
+    if not any(check.channels for check in by_series.values()):
+        return by_series
+    scatter = gain_scatter(points, fit)
+    return {name: replace(check, channels=_beyond(check.channels, scatter[name])) for name, check in by_series.items()}
+
+
+def _beyond(channels: list[SuspectLoadSeries], scatter: float) -> list[SuspectLoadSeries]:
+    """Those whose gain differs from one by more than the `scatter` of the gains of the other load series."""
+    limit = float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL)) * scatter
+    return [suspect for suspect in channels if abs(suspect.gain - 1.0) > limit]
 
 
 def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str]]:
@@ -271,25 +282,3 @@ def _check_channel_gain(
 def _unexplained_share(change: Array, predicted: Array) -> float:
     """Share of the power of a change that a prediction, not rescaled, leaves unexplained."""
     return float(np.sum((change - predicted) ** 2) / max(float(np.sum(change**2)), np.finfo(float).tiny))
-
-
-def find_swapped_channels(points: CalibrationPoints, expected: Array) -> tuple[str, ...]:
-    """Find pairs of channels that read each other's loads.
-
-    `expected` (c, k) [V]: declared response to loads of the calibrated range. In a swapped pair both channels of the
-    linear fit resemble the declared sensitivities of the other channel far more than their own.
-    """
-    C = fit_calibration_model(points, LINEAR_TERMS).model.coefficients[: len(points.components)].T
-    cosine = _unit_rows(C) @ _unit_rows(expected).T
-    pairs = []
-    for i in range(len(C)):
-        for j in range(i + 1, len(C)):
-            own, crossed = min(cosine[i, i], cosine[j, j]), min(cosine[i, j], cosine[j, i])
-            if crossed > MIN_SWAPPED_COSINE and own < MAX_OWN_COSINE:
-                pairs.append(f"{points.channel_names[i]} and {points.channel_names[j]}")
-    return tuple(pairs)
-
-
-def _unit_rows(rows: Array) -> Array:
-    size = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.where(size > 0, size, 1.0))

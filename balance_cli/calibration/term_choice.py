@@ -127,19 +127,32 @@ def choice_of_words(terms: str | Sequence[str], significance: float = TERM_SIGNI
     return TermChoice(LISTED, significance, listed)
 
 
-def choice_of_lines(lines: Iterable[str], place: str) -> TermChoice:
+def choice_of_lines(lines: Iterable[str], place: str, components: Sequence[str]) -> TermChoice:
     """The choice that lines of text state: a term of all channels, or `channel: term, term` of one.
 
-    What follows `#` is a comment. Raises UserError where no term is left.
+    Also as YAML: items may follow a line `channel:` with `- `, and stand in brackets and quotes. What follows `#` is a
+    comment. Raises UserError, with the line, for an unknown term, and where no term is left.
     """
     listed: list[str] = []
     by_channel: dict[str, tuple[str, ...]] = {}
-    for line in lines:
+    block = ""
+    for number, line in enumerate(lines, 1):
         text = line.partition("#")[0].strip()
-        channel, colon, rest = text.partition(":")
-        names = tuple(part.strip() for part in (rest if colon else text).split(",") if part.strip())
-        if colon:
-            by_channel[channel.strip()] = (*by_channel.get(channel.strip(), ()), *names)
+        is_item = text.startswith("- ")
+        channel, colon, rest = ("", "", text[2:]) if is_item else text.partition(":")
+        names = tuple(
+            name
+            for part in (rest if colon or is_item else text).strip(" []").split(",")
+            if (name := part.strip(" \"'"))
+        )
+        for name in names:
+            try:
+                parse_term(name, components)
+            except UserError as error:
+                raise error.with_location(file=place, place=f"line {number}") from None
+        block = channel.strip(" \"'") if colon else block if is_item else ""
+        if block:
+            by_channel[block] = (*by_channel.get(block, ()), *names)
         else:
             listed += names
     if not listed and not any(by_channel.values()):

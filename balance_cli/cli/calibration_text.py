@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,8 +43,8 @@ def calibration_text(calibration: Calibration) -> Iterator[str]:
 
 def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
     """Warnings about excluded rows and load series, swapped channels, and an iteration that may not converge."""
-    for suspect in all_trims.suspect_series:
-        yield _suspect_series_text(suspect)
+    for _, channels in groupby(all_trims.suspect_series, key=lambda suspect: suspect.load_series):
+        yield _suspect_series_text(list(channels))
     yield from (outlier_text(outlier) for outlier in all_trims.outliers)
     for pair in all_trims.swapped_channels:
         yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
@@ -79,14 +80,21 @@ def outlier_text(outlier: Outlier) -> str:
     )
 
 
-def _suspect_series_text(suspect: SuspectLoadSeries) -> str:
-    cause = f"{suspect.cause}: " if suspect.cause else ""
-    resembled = f", as expected of {suspect.resembled_channel}" if suspect.resembled_channel else ""
-    alternatives = f"; {' or '.join(suspect.alternatives)} may be wrong instead" if suspect.alternatives else ""
+def _suspect_series_text(channels: Sequence[SuspectLoadSeries]) -> str:
+    """One sentence on a load series and all the channels that deviate in it."""
+    first = channels[0]
+    cause = f"{first.cause}: " if first.cause else ""
+    gains = ", ".join(_gain_text(suspect) for suspect in channels)
+    alternatives = f"; {' or '.join(first.alternatives)} may be wrong instead" if first.alternatives else ""
     return (
-        f"{suspect.load_series}: {cause}{suspect.channel} changes {suspect.gain:.4f} +- {suspect.gain_sigma:.4f} times "
-        f"as much as the other load series predict{resembled}; the load series was excluded{alternatives}"
+        f"{first.load_series}: {cause}{gains} times as much as the other load series predict; "
+        f"the load series was excluded{alternatives}"
     )
+
+
+def _gain_text(suspect: SuspectLoadSeries) -> str:
+    resembled = f" (as expected of {suspect.resembled_channel})" if suspect.resembled_channel else ""
+    return f"{suspect.channel} changes {suspect.gain:.4f} +- {suspect.gain_sigma:.4f}{resembled}"
 
 
 def _trim_text(trim: TrimCalibration) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -26,7 +26,8 @@ terms_option: Callable[[F], F] = click.option(
     show_default=True,
     help="Terms of the model of all trims: those that a search selects for each channel, the loads alone, all squares "
     "and products, a list such as `Fx^2,Fx Fy,|Mz|`, or a file with one term a line, `CHANNEL: TERM, TERM` for one "
-    "channel. An earlier calibration, or a matrix as `--matrix` writes it (.csv), gives its terms by channel.",
+    "channel (YAML is read, too). An earlier calibration, or a matrix as `--matrix` writes it (.csv), gives its terms "
+    "by channel.",
 )
 significance_option: Callable[[F], F] = click.option(
     "--significance",
@@ -49,8 +50,8 @@ def term_choice(session: Session, terms: str, significance: float | None, geomet
         raise UserError(fault, "--significance", remedy="Leave it out, or give --terms search")
     is_file = terms not in KINDS and Path(terms).is_file()
     level = TERM_SIGNIFICANCE_LEVEL if significance is None else significance
-    choice = _read_choice(session, Path(terms)) if is_file else choice_of_words(terms, level)
     components = load_components(geometry).names
+    choice = _read_choice(session, Path(terms), components) if is_file else choice_of_words(terms, level)
     try:
         require_known_names(choice, geometry.channel_names, components, terms if is_file else "")
     except UserError as error:
@@ -66,7 +67,7 @@ def _looks_like_path(text: str) -> bool:
     return "," not in text and (bool(Path(text).suffix) or "/" in text)
 
 
-def _read_choice(session: Session, path: Path) -> TermChoice:
+def _read_choice(session: Session, path: Path, components: Sequence[str]) -> TermChoice:
     from balance_cli.calibration.matrix import model_from_matrix
     from balance_cli.calibration.matrix_file import read_matrix_file, read_text_file
     from balance_cli.calibration.result import Calibration
@@ -83,6 +84,6 @@ def _read_choice(session: Session, path: Path) -> TermChoice:
     if text.startswith(MATRIX_FORMAT.partition("/")[0]):
         choice = choice_of_model(model_from_matrix(read_matrix_file(path)[0].matrix))
     else:
-        choice = choice_of_lines(text.removeprefix("\ufeff").splitlines(), str(path))
+        choice = choice_of_lines(text.removeprefix("\ufeff").splitlines(), str(path), components)
     session.record_input(path.name, "terms", digest)
     return choice

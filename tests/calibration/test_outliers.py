@@ -10,7 +10,8 @@ from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.outliers import _include_predicted_rows, screen_outliers
 from balance_cli.calibration.robust_scale import robust_row_sigma
-from balance_cli.calibration.suspect_series import _find_suspect_series, find_swapped_channels
+from balance_cli.calibration.suspect_series import _find_suspect_series
+from balance_cli.calibration.swapped_channels import find_swapped_channels
 from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
 from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -188,3 +189,23 @@ def test_a_wrong_reading_is_named_in_the_unit_of_its_channel():
     assert " uV" not in outlier_text(outlier) and "50" in outlier_text(outlier) and "mV/V" in outlier_text(outlier)
     (as_volts,) = screen_outliers(replace(spoiled, reading_units=())).outliers
     assert as_volts.unit is None and as_volts.cause.endswith(f"not {channels[30, 2]:.5g} V")
+
+
+@pytest.mark.parametrize("curvature", [0.01, 0.05])
+def test_a_linear_model_of_a_balance_that_curves_excludes_no_sound_series(curvature):
+    """Each direction of a load has another gain than a straight line predicts: in 6 of 6 one had been excluded."""
+    rng = np.random.default_rng(int(1000 * curvature))
+    steps = np.r_[0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25]
+    x = np.vstack([np.outer(side * steps, row) for row in np.eye(6) for side in (1, -1)])
+    series = np.repeat(np.arange(12), len(steps))
+    linear = rng.standard_normal((6, 8))
+    signal = x @ linear
+    read = signal + curvature * signal**2 / np.abs(linear).sum(axis=0) * 2.0 + 3e-4 * rng.standard_normal((len(x), 8))
+    read += 5e-3 * rng.standard_normal((12, 8))[series]
+    names, ones = tuple(f"g{i}" for i in range(8)), np.ones(len(x))
+    points = CalibrationPoints(names, COMPONENTS, ("r",), read, x, np.zeros(len(x), np.intp), ones, np.ones(6))
+    assert not calibrate_all_trims(points, choice=LINEAR_TERMS).suspect_series
+    wrong = read.copy()
+    wrong[series == 3, 2] *= 1.3
+    (found, *_) = calibrate_all_trims(replace(points, channels=wrong), choice=LINEAR_TERMS).suspect_series
+    assert found.channel == "g2"

@@ -71,7 +71,7 @@ def test_quadratic_has_all_squares_and_products():
 
 
 def test_listed_terms_are_those_of_their_channel():
-    choice = choice_of_lines(["# a comment", "Fx Fy, Mz^2  # both", f"{CHANNELS[0]}: |Fz|"], "terms.txt")
+    choice = choice_of_lines(["# a comment", "Fx Fy, Mz^2  # both", f"{CHANNELS[0]}: |Fz|"], "terms.txt", COMPONENTS)
     model = fit_calibration_model(stand_points(), choice).model
     assert set(model.terms[6:]) == {"Fx Fy", "Mz^2", "|Fz|"}
     own = {name: [t for t in model.channel_coefficients(name) if t not in COMPONENTS] for name in CHANNELS[:2]}
@@ -112,7 +112,7 @@ def test_a_list_needs_names_of_this_balance():
     with pytest.raises(UserError, match="no channel `gg`"):
         require_known_names(TermChoice(LISTED, by_channel={"gg": ("Fx^2",)}), CHANNELS, COMPONENTS, "t.txt")
     with pytest.raises(UserError, match="lists no term"):
-        choice_of_lines(["# nothing", ""], "t.txt")
+        choice_of_lines(["# nothing", ""], "t.txt", COMPONENTS)
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +179,11 @@ def test_calls_that_cannot_be_meant(folder):
     result = CliRunner().invoke(balance, [*words, "--terms", "quadratic"])
     assert result.exit_code == 2 and "10 load points in 1 load series do not determine" in result.output
     assert not (folder / "d.h5").exists()
+
+
+def test_a_file_may_be_yaml_and_a_wrong_term_is_named_with_its_line():
+    text = ["g1:", "  - Fx^2", "  - '|Fz|'", "g2: [Fx Fy, Mz^2]", "Fy^2"]
+    choice = choice_of_lines(text, "terms.yaml", COMPONENTS)
+    assert choice.by_channel == {"g1": ("Fx^2", "|Fz|"), "g2": ("Fx Fy", "Mz^2")} and choice.listed == ("Fy^2",)
+    with pytest.raises(UserError, match=r"line 2.*unknown term `Fx Fw`"):
+        choice_of_lines(["Fx^2", "g1: Fx Fw"], "t.txt", COMPONENTS)
