@@ -145,7 +145,11 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
 def _rows_text(all_trims: AllTrimsCalibration) -> str:
     """How many rows were fitted and, where some were excluded, of how many."""
     fitted, rows = int(np.count_nonzero(all_trims.used)), len(all_trims.loads)
-    return f"{rows} rows" if fitted == rows else f"{fitted} of {rows} rows"
+    if fitted == rows:
+        return f"{rows} rows"
+    named = len(all_trims.outliers)
+    others = "" if all_trims.suspect_series or fitted + named == rows else " (check points and repetitions aside)"
+    return f"{fitted} of {rows} rows{others}"
 
 
 def _check_text(check: CheckLoads, components: tuple[str, ...], scale: FullScale) -> Iterator[str]:

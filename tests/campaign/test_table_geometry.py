@@ -115,3 +115,13 @@ def test_a_head_with_readings_named_by_the_loads_needs_no_geometry(tmp_path):
     path.write_text("Fx [mV/V],My [mV/V],applied Fx [N],applied My [N m]\n0.1,0.2,0,0\n1.1,0.3,10,-5\n")
     head = read_table_head(path)
     assert (head.hub_loads, head.channels) == (("Fx", "My"), {"Fx": "V/V", "My": "V/V"})
+
+
+def test_the_text_says_why_a_row_is_not_counted(tmp_path):
+    """Two readings of one load in succession are one load point."""
+    path = tmp_path / "points.csv"
+    loads = [0, 10, 20, 30, 20, 20, 10, 0, -10, -20]
+    rows = [f"{load},{0.1 + 0.02 * load + 1e-5 * (k % 3)}" for k, load in enumerate(loads)]
+    path.write_text("Fz [N],B1 [mV/V]\n" + "\n".join(rows) + "\n")
+    output = call("calibrate", path, "-o", tmp_path / "c.h5")
+    assert "9 of 10 rows (check points and repetitions aside)" in output
