@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION as MAX_INFLATION
 from balance_cli.campaign.rig.load_components import full_scale
 from balance_cli.cli.calibration_summary import nonlinear_terms_summary
 from balance_cli.cli.load_residual_summary import load_residual_text
@@ -64,6 +65,20 @@ def _missing_terms(all_trims: AllTrimsCalibration) -> Iterator[str]:
         reasons.setdefault(reason, []).append(name)
     for reason, names in reasons.items():
         yield f"--terms: {', '.join(f'`{name}`' for name in names)} not fitted: {reason}"
+    yield from _confounded_terms(all_trims)
+
+
+def _confounded_terms(all_trims: AllTrimsCalibration) -> Iterator[str]:
+    """Terms that were asked for, and that the rows hardly tell from each other: a search would not take them."""
+    inflation = np.nan_to_num(all_trims.model.variance_inflation)
+    names = [
+        f"`{name}`" for name, row in zip(all_trims.model.terms, inflation, strict=True) if row.max() > MAX_INFLATION
+    ]
+    if names:
+        yield (
+            f"--terms: these loads hardly tell {', '.join(names)} from each other: variance inflation up to "
+            f"{inflation.max():.2g}, of which a search takes {MAX_INFLATION:.0f} at the most; leave some out"
+        )
 
 
 def outlier_text(outlier: Outlier) -> str:

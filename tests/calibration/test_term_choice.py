@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_choice import (
     LISTED,
@@ -21,6 +22,7 @@ from balance_cli.calibration.term_support import find_supported_terms
 from balance_cli.calibration.terms import all_terms, term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
+from balance_cli.cli.calibration_text import math_model_warnings
 from balance_cli.io.errors import UserError
 from tests.support.calibration_stand import CHANNELS, stand_loads, stand_points
 
@@ -187,3 +189,15 @@ def test_a_file_may_be_yaml_and_a_wrong_term_is_named_with_its_line():
     assert choice.by_channel == {"g1": ("Fx^2", "|Fz|"), "g2": ("Fx Fy", "Mz^2")} and choice.listed == ("Fy^2",)
     with pytest.raises(UserError, match=r"line 2.*unknown term `Fx Fw`"):
         choice_of_lines(["Fx^2", "g1: Fx Fw"], "t.txt", COMPONENTS)
+
+
+def test_listed_terms_that_the_loads_hardly_tell_are_named_with_their_variance_inflation():
+    """Squares and cubes of loads near their range are alike: the inflation was in a table, far above any limit."""
+    rng = np.random.default_rng(3)
+    x = np.vstack([np.outer(np.r_[0.0, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0], row) for row in np.eye(2)])
+    read = x @ rng.standard_normal((2, 3)) + 1e-4 * rng.standard_normal((len(x), 3))
+    run, ones = np.zeros(len(x), np.intp), np.ones(len(x))
+    points = CalibrationPoints(tuple("abc"), ("Fx", "Fz"), ("r",), read, x, run, ones, np.ones(2))
+    made = calibrate_all_trims(points, choice=TermChoice(LISTED, listed=("Fx^2", "Fx^3")))
+    (said,) = (text for text in math_model_warnings(made) if "hardly tell" in text)
+    assert "`Fx^2`, `Fx^3` from each other" in said and "1000 at the most" in said

@@ -61,3 +61,10 @@ def test_known_runs_that_are_driven_there_or_have_no_common_level_tell_nothing()
 def test_without_a_wind_run_nothing_is_read():
     sweep = record("sweep", "sweep", 1)
     assert noise_findings([replace(sweep, source=None)], CHANNELS) == []
+
+
+def test_runs_with_one_cause_are_one_finding():
+    known = [record("sweep", f"sweep-{k}", k) for k in range(3)]
+    wind = [record("wind", f"wind-{k}", 9 + k, lambda x: x / 1000) for k in range(3)]
+    both = noise_findings([*known, *wind, record("wind", "other", 20, lambda x: 3.0 * x)], CHANNELS)
+    assert [finding.runs for finding in both] == [("wind-0", "wind-1", "wind-2"), ("other",)]

@@ -7,7 +7,7 @@ that arises behind them shows neither.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 SMALLEST_RATIO = 2.0
 """Of all channels at once: amplifiers repeat their noise to some tenths."""
+SAME_RATIO = 1.3
+"""Ratio of two ratios up to which they have one cause: noise repeats to some tenths."""
 
 
 def noise_findings(
@@ -50,7 +52,17 @@ def compare_noise(
     usual = {item.sample_rate: item for item in (*usual_noise(levels, channel_names), *stored)}
     wind = [level for level in levels if level.kind == "wind" and level.sample_rate in usual]
     ratios = {level.run: _common_ratio(level, usual[level.sample_rate], channel_names) for level in wind}
-    return [_describe(run, ratio) for run, ratio in ratios.items() if ratio is not None]
+    return [_describe(runs) for runs in _alike({run: ratio for run, ratio in ratios.items() if ratio is not None})]
+
+
+def _alike(ratios: Mapping[str, float]) -> Iterator[dict[str, float]]:
+    """The runs in groups of one ratio, in their order: they have one cause, and are one finding."""
+    left = dict(ratios)
+    while left:
+        first = next(iter(left.values()))
+        group = {run: ratio for run, ratio in left.items() if 1.0 / SAME_RATIO < ratio / first < SAME_RATIO}
+        left = {run: ratio for run, ratio in left.items() if run not in group}
+        yield group
 
 
 def _common_ratio(level: RunNoise, usual: UsualNoise, channel_names: tuple[str, ...]) -> float | None:
@@ -65,8 +77,9 @@ def _common_ratio(level: RunNoise, usual: UsualNoise, channel_names: tuple[str, 
     return float(np.median(ratios)) if less or more else None
 
 
-def _describe(run: str, ratio: float) -> ConsistencyFinding:
+def _describe(ratios: Mapping[str, float]) -> ConsistencyFinding:
+    ratio = float(np.median([*ratios.values()]))
     text = f"all channels have {ratio:.3g} times the noise that they have in the runs with known loads"
     return ConsistencyFinding(
-        NOISE_LEVEL, WARNING, f"{text}: another gain, unit or filter?", (run,), factor=float(f"{ratio:.3g}")
+        NOISE_LEVEL, WARNING, f"{text}: another gain, unit or filter?", tuple(ratios), factor=float(f"{ratio:.3g}")
     )
