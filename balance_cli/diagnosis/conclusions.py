@@ -21,7 +21,7 @@ from balance_cli.diagnosis.result import (
     Trial,
 )
 from balance_cli.diagnosis.selection.fit import Fit
-from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
+from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.diagnosis.worth import effect_worth
@@ -180,12 +180,13 @@ def _evidence(
     support = update.effect_support[effect.label]
     count = len(update.confirmation.scores) if support.candidates is None else support.candidates
     tests = count * frequency_looks(update.fit, effect, batches, settings)
+    independent = independent_gain(support.gain, update.fit, effect, batches)
     trial = next((item for item in update.trials if _added(item, effect.label)), None)
     noise_dof = float("inf") if trial is None or trial.noise_dof is None else trial.noise_dof
     return Evidence(
         gain=support.gain,
         parameters=support.parameters,
-        p_value=bonferroni_p_value(support.gain, max(support.parameters, 1), tests, noise_dof),
+        p_value=bonferroni_p_value(independent, max(support.parameters, 1), tests, noise_dof),
         score=trial.score if trial else float("nan"),
         cross_validation_gain=trial.cross_validation_gain if trial else float("nan"),
         round=trial.round if trial else 0,

@@ -265,3 +265,19 @@ def tone_magnitudes(batch: Batch, tone: MainsTone, residual: ComplexArray, frequ
         n[i] = np.real(np.sum(weighted.conj() * columns.reshape(weighted.shape)))
         magnitude[i] = np.linalg.norm(2.0 * np.real(weighted.conj().T @ with_tone))
     return n, magnitude
+
+
+def tone_noise_spread(batch: Batch, tone: MainsTone) -> float:
+    """Return the variance of b over n, which is one where the noise of the lines is independent.
+
+    Lines of a record that does not repeat share the bins of their window. What is a line in a single bin is then in all
+    of them, and noise in this bin looks like a tone that many lines agree on.
+    """
+    run = next(i for i, lines in enumerate(batch.parts) if lines == tone.form.lines)
+    waveform = batch.runs[run].waveform
+    assert waveform is not None
+    channel = tone.interference.channel
+    column = tone.columns[:, channel, 0]
+    weighted = tone.form.weighted(tone.columns[:, :, :1]).reshape(tone.columns.shape[:2])[:, channel]
+    power = np.maximum(np.real(weighted.conj() * column), 0.0)
+    return waveform.noise_spread(np.sqrt(power) * column / np.maximum(np.abs(column), TINY))

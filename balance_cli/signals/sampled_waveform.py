@@ -107,6 +107,10 @@ class SampledWaveform:
         """The values (R, ...) themselves: the bins are the lines."""
         return values
 
+    def noise_spread(self, values: ComplexArray) -> float:
+        """One: each line is a bin of its own."""
+        return 1.0
+
 
 @dataclass(frozen=True, eq=False)
 class RecordWaveform(SampledWaveform):
@@ -150,6 +154,13 @@ class RecordWaveform(SampledWaveform):
         """Values (R, ...) at the bins as lines (K, ...)."""
         rows = self._sums_of_bins
         return np.asarray(rows @ values.reshape(len(values), -1)).reshape(rows.shape[0], *values.shape[1:])
+
+    def noise_spread(self, values: ComplexArray) -> float:
+        """More than one where lines share bins: the transient of a window is subtracted from all of its lines."""
+        size = np.sqrt(np.sum(np.abs(self.weight) ** 2, axis=1))
+        power = float(np.sum(np.abs(values) ** 2))
+        at_bins = self._sums_of_bins.T @ (values.conj() / np.maximum(size, np.finfo(float).tiny))
+        return float(np.sum(np.abs(at_bins) ** 2)) / power if power > 0.0 else 1.0
 
     @cached_property
     def _sums_of_bins(self) -> csr_array:

@@ -78,6 +78,10 @@ class StaticWaveform:
         """Values (m, ...) at the points as lines (K, ...)."""
         return np.tensordot(self.projection, values, axes=1).astype(complex)
 
+    def noise_spread(self, values: ComplexArray) -> float:
+        """One: rows do not share any noise that a tone could have."""
+        return 1.0
+
     def combine_bins(self, values: ComplexArray) -> ComplexArray:
         """The values (K, ...) themselves: the bins are the lines."""
         return values

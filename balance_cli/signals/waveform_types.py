@@ -121,3 +121,7 @@ class Waveform(Protocol):
     def combine_bins(self, values: ComplexArray) -> ComplexArray:
         """Values (R, ...) at the bins as lines (K, ...)."""
         ...
+
+    def noise_spread(self, values: ComplexArray) -> float:
+        """Variance of an inner product of lines with values (K,), both over their noise: one if the lines are apart."""
+        ...

@@ -84,3 +84,20 @@ def test_gains_of_noise_are_no_likelier_than_so_many_looks_say(weights):
         p_values.append(bonferroni_p_value(gain, 1, looks))
     # Three standard deviations of a binomial share of 5 %; without the looks every second gain is below it.
     assert np.mean(np.array(p_values) < 0.05) < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 250)
+
+
+def test_noise_in_one_bin_is_in_all_lines_of_its_window():
+    """The variance of an inner product of lines, which share bins, against that of noise drawn in the bins."""
+    sweep = SweepPlan(run="random", excited=("Fz",), level=(200.0,), excitation="random", period=4.0, periods=3)
+    run = simulate_campaign(true_rig(RIG), CampaignPlan(runs=(sweep,)), seed=4).runs[0]
+    lines = measured_spectra([run], RIG, means=True).lines[0]
+    waveform, rng = lines.waveform, np.random.default_rng(0)
+    bins = rng.normal(size=(2, len(waveform.bin_index), 400)) * np.sqrt(0.5)
+    noise = waveform.combine_bins(bins[0] + 1j * bins[1])
+    noise /= np.sqrt(np.mean(np.abs(noise) ** 2, axis=1, keepdims=True))
+    near = np.abs(lines.frequency - 50.0) < 8.0
+    x = np.where(near, np.exp(1j * rng.uniform(0.0, 0.2, len(near))), 0.0)
+    spread = np.mean(np.abs(x.conj() @ noise) ** 2) / np.sum(np.abs(x) ** 2)
+    # 400 draws of a chi-square of two degrees of freedom: 5 % each way is one standard deviation.
+    assert waveform.noise_spread(x) == pytest.approx(spread, rel=0.2)
+    assert near.sum() > 5

@@ -18,7 +18,7 @@ from balance_cli.diagnosis.selection.candidate_refits import first_steps_of_unce
 from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain
 from balance_cli.diagnosis.selection.effect_statistics import confounding_limit
 from balance_cli.diagnosis.selection.fit import Fit, unexplained_chi2
-from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
+from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
@@ -173,7 +173,7 @@ def _refit_selected(context: _RoundContext, clear: Sequence[Score], selected: Se
     ]
     best = _best_refit(fit, tested, refits, settings)
     validation = cross_validation_gain(fit.model, fit.theta, batches, tested[best], settings)
-    rejection = _rejection_reason(context, tested[best], fit.chi2 - refits[best].chi2, validation)
+    rejection = _rejection_reason(context, tested[best], refits[best], validation)
     trials = []
     for i, (score, refit) in enumerate(zip(tested, refits, strict=True)):
         gain, reason = fit.chi2 - refit.chi2, rejection if i == best else "another gained more"
@@ -197,10 +197,12 @@ def _best_refit(fit: Fit, scores: Sequence[Score], refits: Sequence[Fit], settin
     return choose_most_linear([refit.model for refit in refits], gains, settings.indistinguishable_chi2)
 
 
-def _rejection_reason(context: _RoundContext, score: Score, gain: float, validation: float) -> str:
+def _rejection_reason(context: _RoundContext, score: Score, refit: Fit, validation: float) -> str:
     """Why the best candidate is not accepted; empty where it is."""
-    looks = frequency_looks(context.fit, score.candidate.placed_effect, context.batches, context.settings)
-    p_value = bonferroni_p_value(gain, score.parameters, looks * len(context.scores), score.noise_dof)
+    effect, gain = score.candidate.placed_effect, context.fit.chi2 - refit.chi2
+    independent = independent_gain(gain, refit, effect, context.batches)
+    looks = frequency_looks(context.fit, effect, context.batches, context.settings)
+    p_value = bonferroni_p_value(independent, score.parameters, looks * len(context.scores), score.noise_dof)
     if p_value >= context.settings.selection.significance_level:
         return "chance would gain as much"
     # NaN, where all information is in one fold, is no reason to reject.

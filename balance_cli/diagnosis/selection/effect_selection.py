@@ -17,7 +17,7 @@ from balance_cli.diagnosis.selection.effect_statistics import (
     wald_statistic,
 )
 from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, unexplained_chi2
-from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
+from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
@@ -86,12 +86,14 @@ def prune_effects(
         gain, parameters = effect_wald_statistic(fit, effect)
         fitted = max(parameters, 1) + shape_parameter_count(fit, effect)
         tests = count * frequency_looks(fit, effect, batches, settings)
+        independent = independent_gain(gain, fit, effect, batches)
         weak = gain < limits.strong_gain
-        if weak and bonferroni_p_value(gain, fitted, tests) >= limits.significance_level:
+        if weak and bonferroni_p_value(independent, fitted, tests) >= limits.significance_level:
             steps = limits.hurried_steps if over else ITERATIONS
             reduced = refit_without_effect(fit, effect, batches, settings.fit, steps)
             lost = reduced.chi2 - fit.chi2
-            if over or bonferroni_p_value(lost, fitted, tests) >= limits.significance_level:
+            independent = independent_gain(lost, fit, effect, batches)
+            if over or bonferroni_p_value(independent, fitted, tests) >= limits.significance_level:
                 trials.append(_removal_trial(number, effect, parameters, lost, REASON_NOT_NEEDED))
                 fit = reduced
                 continue

@@ -8,7 +8,7 @@ with all other parameters held.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import evaluate_batch
-from balance_cli.estimation.mains_interference import tone_magnitudes
+from balance_cli.estimation.mains_interference import MainsTone, tone_magnitudes, tone_noise_spread
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.effects.search_hints import ToneParameters
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
@@ -38,6 +38,31 @@ def frequency_looks(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], se
     starts = len(search.starts(fit.model.geometry, effect.where)) if search.starts else 1
     lobes = 2.0 * settings.mains.search_range * _longest_record(batches)
     return max(1.0, starts * settings.mains.looks_per_lobe * lobes)
+
+
+def independent_gain(gain: float, fit: Fit, effect: PlacedEffect, batches: Sequence[Batch]) -> float:
+    """Return the gain of an effect of a fit as far as the noise of the lines is independent; less of a tone.
+
+    In lines that share bins, noise in one bin agrees with a tone in all of them: a composite likelihood is divided by
+    the variance of its score over its information (Varin, Reid and Firth, Statistica Sinica 21 (2011) 5).
+    """
+    if effect.effect.search.tone is None:
+        return gain
+    total, spread = 0.0, 0.0
+    for batch, tone in _tones(fit, effect.label, batches):
+        total += tone.n
+        spread += tone.n * tone_noise_spread(batch, tone)
+    return gain / max(1.0, spread / total) if total > 0.0 else gain
+
+
+def _tones(fit: Fit, label: str, batches: Sequence[Batch]) -> Iterator[tuple[Batch, MainsTone]]:
+    """The tone of an effect in each run, with its batch."""
+    labels = [item.label for item in declared_effects(fit.model.geometry) if item.effect.search.tone is not None]
+    system = fit.model.system(fit.theta)
+    interference = system.equations.interference_tones[labels.index(label)]
+    for batch in batches:
+        lines = evaluate_batch(batch, system, solve(system, batch.frequency, batch.spin))
+        yield from ((batch, tone) for tone in lines.mains_tones if tone.interference is interference)
 
 
 def _longest_record(batches: Sequence[Batch]) -> float:
