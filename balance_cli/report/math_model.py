@@ -135,7 +135,10 @@ def _iteration_text(all_trims: AllTrimsCalibration, proof: Contraction, units: M
     refused = ", ".join(f"{name} {PLUS_MINUS}{format_significant(float(size))} {units[name]}" for name, size in reach)
     left = format_significant(100.0 * proof.rho, 2)
     iteration = f"Loads are computed by iteration; every step reduces the error to {left} % or less. "
-    return f"{iteration if model.is_nonlinear else ''}Calibrated: {calibrated}. Loads beyond {refused} are refused."
+    return (
+        f"{iteration if model.is_nonlinear else ''}Calibrated: {calibrated}. Loads beyond are flagged as extrapolated, "
+        f"and beyond {refused} they are refused."
+    )
 
 
 def _non_iterative_text(non_iterative: NonIterativeModel) -> str:
@@ -171,6 +174,10 @@ def _math_model_warnings(all_trims: AllTrimsCalibration, proof: Contraction) -> 
         yield WarningText(_suspect_series_warning(suspect))
     for outlier in all_trims.outliers:
         yield WarningText(_outlier_warning(outlier))
+    for note in all_trims.screening_notes:
+        yield WarningText(f"{note}.")
+    for pair in all_trims.swapped_channels:
+        yield WarningText(f"{pair} read each other's loads in all runs: their cables seem to be swapped.")
     if not proof.proved:
         yield WarningText(
             "The load iteration is not proved to converge over the calibrated range: no loads are computed with this "

@@ -224,8 +224,11 @@ def test_swapped_and_ambiguous_load_series_are_named(spoiled):
     bad = replace(
         spoiled.all_trims.suspect_series[0], resembled_channel="z2.strain", alternatives=("s3 rows 1 to 9 (Fx)",)
     )
-    all_trims = replace(spoiled.all_trims, suspect_series=(bad,))
+    shrunk = "Fx: the calibrated range is 150, not 200, because the rows with larger loads were excluded"
+    pair = "x.strain and y1.strain"
+    all_trims = replace(spoiled.all_trims, suspect_series=(bad,), screening_notes=(shrunk,), swapped_channels=(pair,))
     words = texts(section(given(replace(spoiled, all_trims=all_trims))), "warn")
+    assert f"{shrunk}." in words and f"{pair} read each other's loads" in words
     assert ", as expected of z2.strain." in words and "s3 rows 1 to 9 (Fx) may be wrong instead." in words
 
 
