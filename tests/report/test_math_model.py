@@ -93,7 +93,9 @@ def test_a_sound_calibration_is_told_in_a_sentence_and_warns_of_nothing(sound_se
     words = texts(made, "text")
     assert "242 rows of static-bare and static-trim in 12 load series, each with its own zero" in words
     assert "any spurious term in the balance 0.01" in words and "no channel has such terms" in words
-    assert "Loads beyond Fx ±880 N, Fy ±880 N" in words and "Calibrated: Fx −800 to 800 N" in words
+    assert (
+        "flagged as extrapolated, and beyond Fx ±880 N, Fy ±880 N" in words and "Calibrated: Fx −800 to 800 N" in words
+    )
     assert "by iteration" not in words
     assert texts(made, "warn") == ""
     assert not any("variance inflation" in [cell.text for cell in one.head[0]] for one in tables(made))
