@@ -16,12 +16,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import refine_point_mass
-from balance_cli.diagnosis.search.score_statistics import (
-    Score,
-    add_scored_candidate,
-    apply_score_step,
-    has_nuisance_parameters,
-)
+from balance_cli.diagnosis.search.score_statistics import Score, add_scored_candidate, has_nuisance_parameters
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.estimation.batch import Batch
@@ -112,9 +107,7 @@ def fit_partially(state: SearchState, score: Score, lines: SearchLines, settings
     """Return the first steps with the candidate, from its start or, if that fits better, from a regression.
 
     The equations of motion with the forces of the cells have no resonance that could lead to a wrong minimum
-    (`estimation.starting_values`). They are solved where the candidate has nuisance parameters. Where neither lowers
-    chi-square the fit begins at the step that the score predicts to do so: a ridge may lie before either start, and a
-    true effect that is lost here is replaced by several others that imitate it.
+    (`estimation.starting_values`). They are solved where the candidate has nuisance parameters.
     """
     batches = add_model_error(lines.fitted, state.shares)
     model, theta = extend_model(state.model, state.theta, add_scored_candidate(state.geometry, score))
@@ -124,35 +117,18 @@ def fit_partially(state: SearchState, score: Score, lines: SearchLines, settings
     starts = [theta]
     if has_nuisance_parameters(score):
         starts.append(start_from_equations_of_motion(model.parameters, lines.fitted, model.system, theta))
-    return _best_partial_fit(model, starts, state, score, batches, settings)
+    return _best_partial_fit(model, starts, state, batches, settings.fit)
 
 
 def _best_partial_fit(
-    model: BalanceModel,
-    starts: Sequence[Array],
-    state: SearchState,
-    score: Score,
-    batches: Sequence[Batch],
-    settings: SearchSettings,
+    model: BalanceModel, starts: Sequence[Array], state: SearchState, batches: Sequence[Batch], settings: FitSettings
 ) -> PartialFit:
-    """The best end of the starts, or of the score's step where none of them lowers chi-square, continued if it does."""
-    before, chi2, best = penalized_chi2(state.model, state.theta, batches), np.inf, starts[0]
-    for start in starts:
-        chi2, best = min((chi2, best), _trial_end(model, start, batches, settings.fit), key=lambda end: end[0])
-    if chi2 >= before:
-        near = apply_score_step(state.model, state.theta, batches, score, settings.score)[1]
-        chi2, best = min((chi2, best), _trial_end(model, near, batches, settings.fit), key=lambda end: end[0])
-    if chi2 < before:
-        chi2, best = min((chi2, best), _trial_end(model, best, batches, settings.fit), key=lambda end: end[0])
+    before = penalized_chi2(state.model, state.theta, batches)
+    ends = [take_steps(model, start, batches, settings.trial_steps, settings) for start in starts]
+    best = min(ends, key=lambda end: penalized_chi2(model, end, batches))
+    best = take_steps(model, best, batches, settings.trial_steps, settings)
+    chi2 = penalized_chi2(model, best, batches)
     return PartialFit(model, best, data_count(batches) * float(np.log(before / chi2)))
-
-
-def _trial_end(
-    model: BalanceModel, start: Array, batches: Sequence[Batch], settings: FitSettings
-) -> tuple[float, Array]:
-    """Chi-square after a few steps from `start`, and the parameters there."""
-    end = take_steps(model, start, batches, settings.trial_steps, settings)
-    return penalized_chi2(model, end, batches), end
 
 
 def data_count(batches: Sequence[Batch]) -> float:
