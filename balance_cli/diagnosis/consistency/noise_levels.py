@@ -35,24 +35,37 @@ def noise_findings(
 ) -> list[ConsistencyFinding]:
     """Return findings for the wind runs in which all channels have much less or more noise than in the other runs.
 
-    `stored` is the noise of runs that are not given, those that a response was measured in.
+    Runs that have it alike have one cause, and are one finding. `stored` is the noise of runs that are not given, those
+    that a response was measured in.
     """
     if not any(run.kind == "wind" for run in runs):
         return []
     compared = [run for run in runs if run.kind in (*KINDS_WITH_KNOWN_LOADS, "wind")]
     levels = [level for run in compared if (level := measure_nyquist_noise(run, channel_names)) is not None]
-    return compare_noise(levels, channel_names, stored)
+    ratios = _unusual_ratios(levels, channel_names, stored)
+    return [_describe(group) for group in _alike(ratios)]
 
 
 def compare_noise(
     levels: Iterable[RunNoise], channel_names: tuple[str, ...], stored: Sequence[UsualNoise] = ()
 ) -> list[ConsistencyFinding]:
-    """As `noise_findings`, from the noise of the runs; `stored` noise counts before that of the runs."""
-    levels = tuple(levels)
+    """Return the findings of `noise_findings` from the noise of the runs, one for each.
+
+    They stand in the loads of each run, which are the same whichever other runs are reduced with it. `stored` noise
+    counts before that of the runs.
+    """
+    ratios = _unusual_ratios(tuple(levels), channel_names, stored)
+    return [_describe({run: ratio}) for run, ratio in ratios.items()]
+
+
+def _unusual_ratios(
+    levels: Sequence[RunNoise], channel_names: tuple[str, ...], stored: Sequence[UsualNoise]
+) -> dict[str, float]:
+    """Return by what all channels of wind runs have more or less noise than usual, of those where they have."""
     usual = {item.sample_rate: item for item in (*usual_noise(levels, channel_names), *stored)}
     wind = [level for level in levels if level.kind == "wind" and level.sample_rate in usual]
     ratios = {level.run: _common_ratio(level, usual[level.sample_rate], channel_names) for level in wind}
-    return [_describe(runs) for runs in _alike({run: ratio for run, ratio in ratios.items() if ratio is not None})]
+    return {run: ratio for run, ratio in ratios.items() if ratio is not None}
 
 
 def _alike(ratios: Mapping[str, float]) -> Iterator[dict[str, float]]:
