@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
@@ -162,24 +163,25 @@ def _period_spectra(
     periods = run.samples // samples
     offset = run.samples - periods * samples
     channel_columns(run, channel_names)
-    amplitudes = []
+    c, last = len(channel_names), (samples + 1) // 2
+    amplitudes = np.empty((periods, c + 6, last - 1), complex)
     largest_loads = np.zeros((1, 6))
     for p in range(periods):
         channels, loads = read_samples(run, channel_names, offset + p * samples, offset + (p + 1) * samples)
         largest_loads = np.maximum(largest_loads, np.abs(loads).max(axis=0))
-        spectrum = np.fft.rfft(np.hstack([channels, loads]), axis=0)[1 : (samples + 1) // 2]
-        amplitudes.append(spectrum * (2.0 / samples))
+        # Signals by rows are transformed several at a time.
+        spectrum = rfft(np.concatenate([channels.T, loads.T]), axis=1, overwrite_x=True)
+        np.multiply(spectrum[:, 1:last], 2.0 / samples, out=amplitudes[p])
     components = measured_components(run, largest_loads)
-    c = len(channel_names)
     signals = [*range(c), *(c + column for column in load_columns(components))]
-    spectra = np.asarray(amplitudes)[:, :, signals]
+    spectra = amplitudes.swapaxes(1, 2)[:, :, signals]
     load_size = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
     strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * load_size.max(axis=0, initial=0.0), axis=1))
     if not strong.size:
         fault = f"no load varies within a period, which is {samples} samples"
         raise run_error(run, fault, "Correct `sample_rate` and `period`", "loads")
     lines = np.arange(max(strong[0] - 2, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
-    return spectra[:, lines], lines + 1, components
+    return np.ascontiguousarray(spectra[:, lines]), lines + 1, components
 
 
 def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:

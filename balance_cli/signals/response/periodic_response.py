@@ -101,9 +101,11 @@ def equation_error_noise(lines: RunSpectrum, response: ComplexArray) -> ComplexA
     """Return the covariance (k, c, c) of `Y - T U` from that of [channels, loads]."""
     c = lines.channels.shape[1]
     S = lines.covariance
-    cross = S[:, :c, c:] @ response.conj().swapaxes(1, 2)
-    load_noise = response @ S[:, c:, c:] @ response.conj().swapaxes(1, 2)
-    return np.asarray(S[:, :c, :c] - cross - cross.conj().swapaxes(1, 2) + load_noise)
+    # With W = S_yu - T S_uu / 2 it is S_yy - W T* - (W T*)*: one product and one sum of large arrays less.
+    half = (S[:, :c, c:] - 0.5 * response @ S[:, c:, c:]) @ response.conj().swapaxes(1, 2)
+    noise = S[:, :c, :c] - half
+    noise -= half.conj().swapaxes(1, 2)
+    return np.asarray(noise)
 
 
 def response_from_one_run(run: Run, lines: RunSpectrum) -> FrequencyResponse:
