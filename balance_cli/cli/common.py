@@ -19,8 +19,9 @@ A command reads its inputs, runs one step, writes the result and prints a summar
 
 The decorator adds `--json`, `-v` and `-q`. The session records all inputs for the provenance. Outputs (`save`, `stage`,
 `stage_in`) and the JSON are written beside their final paths and moved there together when the command returns without
-an exception. `session.warn` and `session.report_left_out` write to stderr and to the JSON. `session.status = 3` sets
-the exit status of a call that otherwise succeeded. Declare the options of a command with the types InputFile,
+an exception. `session.warn` and `session.report_left_out` write to stderr and to the JSON; those on
+runs that are said within `session.gathered()` are one line for many runs. `session.status = 3` sets the exit status of
+a call that otherwise succeeded. Declare the options of a command with the types InputFile,
 OutputFile and OutputFolder of `balance_cli.cli.options`: their paths are then checked before the command starts.
 """
 
@@ -125,12 +126,13 @@ class Session(Messages, WorkReports):
         paths = tuple(paths)
         with self.logged(f"{len(paths)} runs opened"):
             runs, skipped = open_runs(self.progress(paths, "opening", len(paths)), geometry, skip_bad)
-        for path, reason in skipped.items():
-            self.report_skipped(str(path), reason)
-        require_disjoint(runs, disjoint_from)
-        self._inputs += [(run.name, role, run.digest) for run in runs]
-        self._gaps |= report_gaps(runs, self.warn)
-        self.record_hammer(runs)
+        with self.gathered():
+            for path, reason in skipped.items():
+                self.report_skipped(str(path), reason)
+            require_disjoint(runs, disjoint_from)
+            self._inputs += [(run.name, role, run.digest) for run in runs]
+            self._gaps |= report_gaps(runs, self.warn_of_run)
+            self.record_hammer(runs)
         return runs
 
     def record_input(self, name: str, role: str, digest: str) -> None:

@@ -39,8 +39,9 @@ def require_consistent_runs(
 
     paths = {run.name: str(run.path or run.name) for run in runs}
     bad = inconsistent_runs(session, campaign_findings(geometry, runs, usual_noise), paths, skip_bad, is_harmless)
-    for name, reason in bad.items():
-        session.report_skipped(paths[name], f"{paths[name]}: {reason}")
+    with session.gathered():
+        for name, reason in bad.items():
+            session.report_skipped(paths[name], f"{paths[name]}: {reason}")
     return tuple(run for run in runs if run.name not in bad)
 
 
@@ -62,14 +63,22 @@ def inconsistent_runs(
     session.findings = findings
     session.extra_summary["consistency"] = [finding_summary(finding) for finding in findings]
     bad: dict[str, str] = {}
-    for finding in findings:
-        if not finding.is_fault:
-            session.warn(finding.sentence)
-        elif finding.in_all_runs or not skip_bad or len(bad) == len(paths):
-            raise contradiction_error(finding, paths)
-        else:
-            bad.update(dict.fromkeys(finding.runs, finding.sentence))
+    with session.gathered():
+        for finding in findings:
+            if not finding.is_fault:
+                _warn_of_finding(session, finding)
+            elif finding.in_all_runs or not skip_bad or len(bad) == len(paths):
+                raise contradiction_error(finding, paths)
+            else:
+                bad.update(dict.fromkeys(finding.runs, finding.sentence))
     return bad
+
+
+def _warn_of_finding(session: Session, finding: ConsistencyFinding) -> None:
+    if len(finding.runs) == 1:
+        session.warn_of_run(finding.runs[0], finding.sentence)
+    else:
+        session.warn(finding.sentence)
 
 
 def report_findings(session: Session, findings: Sequence[ConsistencyFinding]) -> None:

@@ -32,8 +32,7 @@ def command(session: Session, loads: tuple[Path, ...], output: Path) -> None:
         return Shard(str(path), artefact.content, artefact.provenance)
 
     merged = merge_loads(read(path) for path in session.progress(loads, "shards", len(loads)))
-    for text in merged.new_warnings:
-        session.warn(text)
+    session.warn_of_runs(merged.new_warnings, merged.loads.runs)
     provenance = replace(session.provenance(), options=merged.options, inputs=merged.inputs)
     write_loads(session, output, merged.loads, provenance)
     counts = [{"file": file, "runs": runs} for file, runs in merged.counts.items()]

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.labels import echo_message
+from balance_cli.io.run_messages import RunMessage, message_lines, messages_of_runs
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
 
 
 class Messages:
-    """The messages of one call, printed at once and kept for its summary."""
+    """The messages of one call, printed at once and kept for its summary.
+
+    Those on runs that are said within `gathered()` are printed at its end, one line for many runs of which the same is
+    said; the summary has each of them.
+    """
 
     def __init__(self) -> None:
         self.warnings: list[str] = []
@@ -20,11 +26,37 @@ class Messages:
         self._left_out: dict[str, str] = {}
         self._gaps: dict[str, dict[str, dict[str, int]]] = {}
         self._hammer: dict[str, dict[str, Any]] = {}
+        self._gathered: list[RunMessage] | None = None
+
+    @contextmanager
+    def gathered(self) -> Iterator[None]:
+        """Print what is said of runs within this context at its end, also where it ends with an error."""
+        if self._gathered is not None:
+            yield
+            return
+        self._gathered = []
+        try:
+            yield
+        finally:
+            messages, self._gathered = self._gathered, None
+            for text in message_lines(messages):
+                self._echo_warning(text)
 
     def warn(self, text: str) -> None:
         """Print a warning on stderr and add it to the summary."""
         self.warnings.append(text)
         self._echo_warning(text)
+
+    def warn_of_run(self, run: str, text: str) -> None:
+        """As `warn`, of one run: `text` contains its name."""
+        self.warnings.append(text)
+        self._tell_of_run(run, text)
+
+    def warn_of_runs(self, texts: Iterable[str], names: Collection[str]) -> None:
+        """As `warn_of_run` for each text, by the first of the named runs that it contains; one line for many runs."""
+        with self.gathered():
+            for message in messages_of_runs(texts, names):
+                self.warn_of_run(message.run, message.text)
 
     @property
     def skipped(self) -> Mapping[str, str]:
@@ -36,7 +68,7 @@ class Messages:
         if gaps:
             self._gaps[run] = {name: dict(counts) for name, counts in gaps.items()}
         if text:
-            self.warn(f"{run}: {text}")
+            self.warn_of_run(run, f"{run}: {text}")
 
     def record_hammer(self, runs: Iterable[Run]) -> None:
         """Record the taps of hammer records, with a warning where some are not used."""
@@ -47,17 +79,23 @@ class Messages:
             if record is not None:
                 self._hammer[run.name] = record.summary
                 if record.note:
-                    self.warn(f"{run.name}: {record.note}")
+                    self.warn_of_run(run.name, f"{run.name}: {record.note}")
 
     def report_skipped(self, file: str, reason: str) -> None:
         """Report that a run is not used although the command goes on (`--skip-bad`)."""
         self._skipped[file] = reason
-        self._echo_warning(f"skipped: {reason}")
+        self._tell_of_run(file, f"skipped: {reason}")
 
     def report_left_out(self, name: str, reason: str) -> None:
         """Report that a run (or channel) was read but not used, and why."""
         self._left_out[name] = reason
-        self._echo_warning(f"{name} left out: {reason}")
+        self._tell_of_run(name, f"{name} left out: {reason}")
+
+    def _tell_of_run(self, run: str, text: str) -> None:
+        if self._gathered is None:
+            self._echo_warning(text)
+        else:
+            self._gathered.append(RunMessage(run, text))
 
     def _echo_warning(self, text: str) -> None:
         echo_message("warning", text)

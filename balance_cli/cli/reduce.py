@@ -204,8 +204,7 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
     runs = flag_contradicted_runs(session, runs)
     if not reduction.method.frequencies:
         runs, compared = compare_loads(runs, reduction.calibration, is_shard)
-        for text in compared:
-            session.warn(text)
+        session.warn_of_runs(compared, runs)
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first
@@ -217,7 +216,8 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
 
 def _rotor_runs(session: Session, records: tuple[Run, ...]) -> list[Run]:
     """Return the check and wind runs among the records. UserError where there are none."""
-    runs = [run for run in records if _accept_run(session, run)]
+    with session.gathered():
+        runs = [run for run in records if _accept_run(session, run)]
     if not runs:
         raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
     return runs

@@ -51,11 +51,12 @@ def reduce_to_spectra(
     from balance_cli.reduction.spectra_result import LoadSpectra
 
     results: dict[str, RunSpectra] = {}
-    for run in session.progress(runs, "runs", len(runs)):
-        with session.skip_if_unusable(run, skip_bad):
-            results[run.name] = load_spectra(run, geometry, source, band)
-            for channel, reason in results[run.name].left_out.items():
-                session.warn(f"{run.name}: channel {channel} left out: {reason}")
+    with session.gathered():
+        for run in session.progress(runs, "runs", len(runs)):
+            with session.skip_if_unusable(run, skip_bad):
+                results[run.name] = load_spectra(run, geometry, source, band)
+                for channel, reason in results[run.name].left_out.items():
+                    session.warn_of_run(run.name, f"{run.name}: channel {channel} left out: {reason}")
     spectra = LoadSpectra(source.description, geometry, band, results)
     if output.suffix == ".h5":
         session.save(output, SPECTRA_FORMAT, spectra)

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.load_text import load_lines, trust_line
 from balance_cli.cli.summary import SummaryOfEach
+from balance_cli.io.run_messages import RunMessage, message_lines, name_runs
 from balance_cli.reduction.choices import FREQUENCIES
-from balance_cli.reduction.run_verdict import run_verdict
+from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, WITH_CARE, run_verdict
 
 if TYPE_CHECKING:
     from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
+
+MOST_IN_FULL = 20
+"""Runs whose loads are shown: some ten lines each, as many as one reads."""
+VERDICTS = (DO_NOT_USE, WITH_CARE, USE)
 
 
 def summary(loads: HubLoads) -> dict[str, Any]:
@@ -81,8 +86,14 @@ def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
 
 
 def reduction_text(loads: HubLoads) -> Iterator[str]:
-    """Yield one line per run; below it tests of the filter, errors of check runs, notes, and its loads."""
+    """Yield one line per run; below it tests of the filter, errors of check runs, notes, and its loads.
+
+    Of more than MOST_IN_FULL runs only the verdicts are shown.
+    """
     yield f"{len(loads.runs)} runs reduced, {loads.response}"
+    if len(loads.runs) > MOST_IN_FULL:
+        yield from _verdict_lines(loads.runs.values())
+        return
     for name, run in loads.runs.items():
         yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_residual_test_text(run)}"
         if run.in_time is not None:
@@ -98,6 +109,19 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
             yield f"   {run.unnoticed_note}"
         yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
         yield trust_line(run)
+
+
+def _verdict_lines(runs: Iterable[RunLoads]) -> Iterator[str]:
+    """Yield the verdicts, each with its runs and their reasons."""
+    reasons: dict[str, dict[str, tuple[str, ...]]] = {}
+    for run in runs:
+        verdict = run_verdict(run)
+        reasons.setdefault(verdict.word, {})[run.run] = verdict.reasons
+    for word in sorted(reasons, key=VERDICTS.index):
+        yield f"{word}: {name_runs(reasons[word])}"
+        messages = (RunMessage(run, f"{run}: {reason}") for run, texts in reasons[word].items() for reason in texts)
+        yield from (f"   {line}" for line in message_lines(messages))
+    yield "   notes and flags of each run are in the loads and in the summary of --json"
 
 
 def _residual_test_text(run: RunLoads) -> str:

@@ -60,19 +60,23 @@ def command(
     opened = session.runs(runs, rig, skip_bad)
     opened = require_consistent_runs(session, rig, opened, skip_bad, measured_anyway)
     transfer = estimate_responses(session.progress(opened, "runs", len(opened)), rig, estimator, band)
+    with session.gathered():
+        _report_runs(session, transfer)
+    session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
+    session.finish(_summary(transfer), _text(transfer))
+
+
+def _report_runs(session: Session, transfer: Transfer) -> None:
+    """Say which runs and channels are not used, and where the transient has not ended."""
     for name, reason in transfer.unused_runs.items():
         session.report_left_out(name, reason)
     for run, channels in transfer.channels_left_out.items():
         for name, reason in channels.items():
-            session.warn(f"run {run}: channel {name} left out: {reason}")
+            session.warn_of_run(run, f"run {run}: channel {name} left out: {reason}")
     for run, part in transfer.steady_parts.items():
         if not part.steady:
-            session.warn(
-                f"run {run}: the transient has not ended before the last two periods; "
-                "the covariance includes what is left of it"
-            )
-    session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
-    session.finish(_summary(transfer), _text(transfer))
+            text = "the transient has not ended before the last two periods; the covariance includes what is left of it"
+            session.warn_of_run(run, f"run {run}: {text}")
 
 
 def _summary(transfer: Transfer) -> dict[str, Any]:

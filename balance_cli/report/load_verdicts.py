@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from balance_cli.io.run_messages import message_lines, messages_of_runs
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
 from balance_cli.report.blocks import Details, PageBlock, Row, Table, TableCell, WarningText
@@ -14,7 +15,7 @@ from balance_cli.report.wind_on import harmonics_above_limit
 
 MARKS = {USE: "good", DO_NOT_USE: "bad"}
 MOST_WARNINGS = 8
-"""Warnings of the reduction that are shown; the summary of the command has all."""
+"""Warnings of the reduction that are shown, those that many runs have as one; the summary of the command has all."""
 
 
 def verdict_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
@@ -23,7 +24,8 @@ def verdict_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
         return
     shown = rank_methods(sources)[0]
     for source in sources:
-        warnings = source.content.warnings or ()
+        texts = source.content.warnings or ()
+        warnings = tuple(message_lines(messages_of_runs(texts, source.content.runs.keys())))
         left = len(warnings) - MOST_WARNINGS
         more = (f"{left} more",) if left > 0 else ()
         if warnings:

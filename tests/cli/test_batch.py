@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.campaign.rig.geometry_file import load_geometry
-from balance_cli.cli import balance
+from balance_cli.cli import balance, reduce_text
 from balance_cli.cli.batch import journal as batch_journal
 from balance_cli.cli.batch import reduction as batch_reduction
 from balance_cli.cli.batch.executors import InlineExecutor, Workers, batch_workers
@@ -78,6 +79,25 @@ def test_a_bad_run_of_a_batch_is_listed_and_the_status_says_so(folder, with_bad,
     summary = json.loads((tmp_path / "s.json").read_text())
     assert list(summary["skipped"]) == [str(with_bad[0])]
     assert list(summary["runs"]) == ["wind-00000", "wind-00001"]
+
+
+def test_what_many_runs_have_is_one_line_and_each_of_them_in_the_json(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(reduce_text, "MOST_IN_FULL", COUNT - 1)
+    for path in runs_of(folder):
+        shutil.copy(path, tmp_path)
+        with h5py.File(tmp_path / path.name, "r+") as file:
+            file["channels"][:, 7] = 0.25
+            file["channels"][100:103, 4] = np.nan
+    done = reduce(folder, tmp_path / "l.h5", "--json", tmp_path / "s.json", runs=runs_of(tmp_path))
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("9 runs (wind-00000, wind-00001, wind-00002, ...)") == 3 == done.stderr.count("\n")
+    assert len(done.stdout.splitlines()) < COUNT and done.stdout.count("channels are left out (x.piezo)") == 1
+    summary = json.loads((tmp_path / "s.json").read_text())
+    warnings = summary["warnings"]
+    assert len(warnings) == 3 * COUNT and all(
+        sum(f"wind-{i:05d}: " in text for text in warnings) == 2 for i in range(COUNT)
+    )
+    assert all(run["notes"] and run["channels_left_out"] for run in summary["runs"].values())
 
 
 def test_whoever_expects_bad_runs_gets_status_zero(folder, with_bad, tmp_path):

@@ -92,11 +92,11 @@ def describe_gaps(run: Run) -> str:
     return f"missing samples interpolated: {', '.join(texts)}" if run.bridged else ""
 
 
-def report_gaps(runs: Iterable[Run], report: Callable[[str], None]) -> dict[str, dict[str, dict[str, int]]]:
+def report_gaps(runs: Iterable[Run], report: Callable[[str, str], None]) -> dict[str, dict[str, dict[str, int]]]:
     """Report the gaps of each run that has any in one sentence, and return their summaries by run."""
     with_gaps = [run for run in runs if run.bridged or run.copied_rows]
     for run in with_gaps:
-        report(f"{run.name}: {describe_gaps(run)}")
+        report(run.name, f"{run.name}: {describe_gaps(run)}")
     return {run.name: gap_summary(run) for run in with_gaps if run.bridged}
 
 

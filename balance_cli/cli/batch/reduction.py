@@ -67,10 +67,12 @@ class BatchReduction:
         Raises UserError where no run is left, and for the first bad run unless bad runs are skipped.
         """
         with worker_pool(batch_workers(self.options.jobs, self.options.executor)) as pool:
-            self._survey(pool, reduction, paths)
+            with self.session.gathered():
+                self._survey(pool, reduction, paths)
             reduction = self._complete(reduction, zero)
-            self._reduce_runs(pool, reduction, output)
-        self._finish(reduction)
+            with self.session.gathered():
+                self._reduce_runs(pool, reduction, output)
+                self._finish(reduction)
         if not self.loads:
             raise self._all_skipped()
         if self.session.skipped and not self.options.skip_bad:
@@ -266,7 +268,7 @@ class BatchReduction:
                 self._skip(path, error)
         for name, loads in self.loads.items():
             for channel, reason in loads.left_out.items():
-                self.session.warn(f"{name}: channel {channel} left out: {reason}")
+                self.session.warn_of_run(name, f"{name}: channel {channel} left out: {reason}")
 
     def _compare(self, reduction: Reduction) -> None:
         """Cross-check the runs with known loads, and skip those that contradict the others."""
