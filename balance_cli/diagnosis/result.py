@@ -29,7 +29,8 @@ CONTRADICTED = "contradicted by hold-out"
 VERDICT_MEANING = {
     NOTHING_MISSING: "no candidate is significant",
     EXPLAINED: "with the effects found the model describes the data within their noise",
-    PARTLY_EXPLAINED: "the effects found are significant, and a residual remains, or an effect only describes it",
+    PARTLY_EXPLAINED: "the effects found are significant, but do not explain all: a residual remains, one of them only "
+    "describes it, or a note says what remains",
     UNEXPLAINED: "something is missing that no effect of the library describes",
     CONTRADICTED: "with the effects found the model describes runs that no fit has seen worse than before",
 }
@@ -240,6 +241,10 @@ class Diagnosis(ResultView):
         """What the verdict means, in words."""
         if self.is_unfinished and self.verdict in (PARTLY_EXPLAINED, UNEXPLAINED):
             return "the time limit ended the search before the data were explained; a longer one may find more"
+        if self.verdict == PARTLY_EXPLAINED and self.left_out is not None:
+            return f"the model describes all data but those of {self.left_out.kind} {self.left_out.name}, left out"
+        if self.verdict == PARTLY_EXPLAINED and not self.effects:
+            return "no candidate is significant, but a note says what no effect explains"
         return VERDICT_MEANING[self.verdict]
 
     def summary_lines(self) -> Iterator[str]:

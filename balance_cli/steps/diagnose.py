@@ -22,7 +22,7 @@ from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, 
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
-from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift
+from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift, share_with_contacts
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
@@ -53,7 +53,7 @@ def diagnose(
     announce = _Announcer(progress, settings.time_limit)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)
-    spectra = add_drift_variance(spectra, zeros.drift)
+    measured, spectra = spectra, add_drift_variance(spectra, zeros.drift)
     start = add_zeros(*before, zeros.offsets, settings)
     batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
     quality = model_quality(*before, batches)
@@ -76,13 +76,19 @@ def diagnose(
     )
     left_out = None if exclusion is None else exclusion.left_out
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
-    diagnosis = judge_zero_drift(judge_drifts(diagnosis), zeros.drift)
-    if announce.is_over:
-        limit = f"the time limit of {settings.time_limit:g} s of computing"
-        note = f"{limit} was reached: this is the best model up to then"
-        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note), is_unfinished=True)
+    drift = share_with_contacts(zeros.drift, fit.model.system(fit.theta), measured, settings.data_tests)
+    diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     announce("done")
     return diagnosis, updated
+
+
+def _note_time_limit(diagnosis: Diagnosis, announce: _Announcer, settings: SearchSettings) -> Diagnosis:
+    """Return the diagnosis with a note where the time was over before its end."""
+    if not announce.is_over:
+        return diagnosis
+    limit = f"the time limit of {settings.time_limit:g} s of computing"
+    note = f"{limit} was reached: this is the best model up to then"
+    return replace(diagnosis, notes=(*diagnosis.notes, note), is_unfinished=True)
 
 
 def _build_diagnosis(
@@ -98,7 +104,8 @@ def _build_diagnosis(
 ) -> Diagnosis:
     """The diagnosis of `model`, which describes the data with `quality`, from its update."""
     verdict = decide_verdict(effects, update, updated, settings, left_out)
-    explained = verdict in (NOTHING_MISSING, EXPLAINED)
+    # Something is left out only where all other data are described.
+    explained = verdict in (NOTHING_MISSING, EXPLAINED) or left_out is not None
     scores, updated_geometry = update.confirmation.scores, update.fit.model.geometry
     return Diagnosis(
         geometry=model.geometry,

@@ -494,6 +494,7 @@ def test_a_channel_that_no_effect_describes_is_left_out():
     assert not found.effects
     assert (found.left_out.kind, found.left_out.name) == ("channel", "z1.piezo")
     assert found.left_out.chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert found.location == ""
     assert found.chi2_per_dof_after < 1.1 < found.chi2_per_dof_before
     assert not updated.geometry.effects
 

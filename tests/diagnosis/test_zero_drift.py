@@ -6,11 +6,19 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.result import NOTHING_MISSING, PARTLY_EXPLAINED
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
-from balance_cli.diagnosis.zero_drift import ZERO_DRIFT_TEST, Zeros, add_drift_variance, find_zeros, judge_zero_drift
+from balance_cli.diagnosis.zero_drift import (
+    ZERO_DRIFT_TEST,
+    Zeros,
+    add_drift_variance,
+    find_zeros,
+    judge_zero_drift,
+    share_with_contacts,
+)
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
+from balance_cli.model.system_response import response, solve
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
 from balance_cli.simulation.rig import apply_effects
@@ -116,3 +124,48 @@ def test_everyday_zeros_leave_the_verdict_of_a_sound_rig(runs):
     assert result.verdict == NOTHING_MISSING
     assert {effect.label for effect in result.effects} == {f"channel-offset@{name}" for name in STRAIN}
     assert all(effect.is_of_no_consequence for effect in result.effects)
+
+
+def with_cell_forces(runs, cell, sigma, seed=4):
+    """The runs with a constant force [N] beside a cell, another in each sweep, as the loads that it amounts to."""
+    rng = np.random.default_rng(seed)
+    spring = next(each for each in RIG.cells if each.name == cell)
+    axis, lever = np.array(spring.axis), np.subtract(spring.position, RIG.hub)
+    per_newton = response(SYSTEM, solve(SYSTEM, np.zeros(1)))[0].real @ np.concatenate([axis, np.cross(lever, axis)])
+    changed = []
+    for run in runs:
+        force = sigma * rng.normal()
+        for name, volts in zip(RIG.channel_names, force * per_newton, strict=True):
+            run = with_channel(run, name, lambda v, volts=volts: v + volts) if name in STRAIN else run
+        changed.append(run)
+    return changed
+
+
+def system_with_contact(cell, force=5.0):
+    contact = DeclaredEffect(name="dry-friction", where=(cell,), parameters={"force": force, "stick_stiffness": 1e6})
+    model = balance_model(RIG.model_copy(update={"effects": (contact,)}))
+    return model.system(model.parameters.value)
+
+
+def test_forces_that_a_contact_holds_are_not_named_a_drift_of_zeros(runs):
+    spectra = measured_spectra(with_cell_forces(runs, "z1", 2.0), RIG, means=True)
+    drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
+    assert drift.note.startswith("zeros, which")
+    drift = replace(drift, static_sigma=drift.sigma / 2.0)
+    assert drift.matters
+    held = share_with_contacts(drift, system_with_contact("z1"), spectra, SETTINGS)
+    assert held.contacts.places == ("z1",)
+    assert held.contacts.left is None
+    assert not held.matters
+    assert "what the contact at z1 holds at rest" in held.note
+    assert "what the contact at z1 holds at rest" in held.test.finding
+    assert judge_zero_drift(replace(diagnosis(), verdict=EXPLAINED), held).verdict == EXPLAINED
+    # A contact elsewhere does not shift the channels in these proportions.
+    assert share_with_contacts(drift, system_with_contact("x"), spectra, SETTINGS) == drift
+    assert share_with_contacts(drift, SYSTEM, spectra, SETTINGS) == drift
+
+
+def test_zeros_that_drift_beside_a_contact_are_zeros(runs):
+    spectra = measured_spectra(with_zeros(runs, 3e-4), RIG, means=True)
+    drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
+    assert share_with_contacts(drift, system_with_contact("z1"), spectra, SETTINGS).contacts is None
