@@ -20,10 +20,10 @@ FILE_NAME = re.compile(r"as `([\w.-]+)`:\s*$")
 
 
 def run_line(line):
-    """One line of a shell block: `cp` of a file of the repository, or a command of balance."""
+    """One line of a shell block: `cp` as from a folder of the clone, or a command of balance."""
     program, *words = shlex.split(line)
     if program == "cp":
-        shutil.copy(ROOT / words[0], words[1])
+        shutil.copy((ROOT / "try" / words[0]).resolve(), words[1])
         return
     assert program == "balance", line
     words = [name for word in words for name in (sorted(glob.glob(word)) if "*" in word else [word])]  # noqa: PTH207

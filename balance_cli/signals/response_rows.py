@@ -31,6 +31,9 @@ LEAST_POWER = 1e-3
 """Power of a band relative to the strongest band of the same load, from which the load drives the channels there."""
 MOST_BANDS = 1000
 """Bands of one run and load."""
+TINY = float(np.finfo(np.float32).tiny)
+NOISE_LINES = 5
+"""Lines from whose scatter about one response the noise of a band is estimated, where the band itself has fewer."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class ResponseRows:
 
     `reference` (k,) is the index of the component that drives a row; `band` (k,) numbers the bands alike in all runs.
     Load points of a static run have frequency zero, reference -1 and band -1; they count from their mean. Channels that
-    the run lacks, or that are not finite, are NaN. `by_points` are the components that forces beside the hub drive at
+    the run lacks, or that are not finite, are NaN. `noise_share` (k, c) is the energy that a channel has without a load
+    relative to that of its row; zero in static runs. `by_points` are the components that forces beside the hub drive at
     once, with the reference; none where loads act at the hub.
     """
 
@@ -52,6 +56,7 @@ class ResponseRows:
     loads: ComplexArray
     reference: Index
     band: Index
+    noise_share: Array
     by_points: tuple[int, ...] = field(default=(), kw_only=True)
 
     @property
@@ -62,7 +67,7 @@ class ResponseRows:
 
 def select_rows(rows: ResponseRows, keep: NDArray[np.bool_]) -> ResponseRows:
     """Return the selected rows (k,)."""
-    names = ("frequency", "channels", "loads", "reference", "band")
+    names = ("frequency", "channels", "loads", "reference", "band", "noise_share")
     return replace(rows, **{name: getattr(rows, name)[keep] for name in names})
 
 
@@ -80,9 +85,9 @@ def _static_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | Non
     rows = len(loads)
     index = np.full(rows, -1)
     channels, loads = channels - channels.mean(axis=0), loads - loads.mean(axis=0)
-    return ResponseRows(
-        run.name, run.kind, 0.0, (), np.zeros(rows), channels.astype(complex), loads.astype(complex), index, index
-    )
+    noise_share = np.zeros(channels.shape)
+    complex_parts = channels.astype(complex), loads.astype(complex)
+    return ResponseRows(run.name, run.kind, 0.0, (), np.zeros(rows), *complex_parts, index, index, noise_share)
 
 
 def _read(run: Run, channel_names: tuple[str, ...], start: int) -> tuple[Array, Array]:
@@ -142,8 +147,8 @@ def _driving_components(run: Run, U: ComplexArray) -> list[int]:
 
 def _band_rows(
     j: int, frequency: Array, bands: Index, Y: ComplexArray, U: ComplexArray
-) -> tuple[Array, ComplexArray, ComplexArray, Index, Index]:
-    """Return frequency, channels, loads, reference and band of the bands in which component j is strong."""
+) -> tuple[Array, ComplexArray, ComplexArray, Index, Index, Array]:
+    """Return frequency, channels, loads, reference, band and noise of the bands in which component j is strong."""
     power = np.abs(U[2:, j].astype(complex)) ** 2
     edges = np.flatnonzero(np.diff(bands[1:]))
     total = np.add.reduceat(power, edges)
@@ -160,4 +165,29 @@ def _band_rows(
         return np.asarray(np.add.reduceat(products, starts, axis=1)[:, bands_inside].T * scale[:, None])
 
     center = np.add.reduceat(power * frequency[2:], edges)[keep] / total[keep]
-    return center, averages(Y), averages(U), np.full(len(keep), j), bands[2 + edges[keep]].astype(np.intp)
+    channels = averages(Y)
+    noise_share = _noise_energy(Y[inside], U[inside, j], starts)[bands_inside] / np.maximum(np.abs(channels) ** 2, TINY)
+    numbers = np.full(len(keep), j), bands[2 + edges[keep]].astype(np.intp)
+    return center, channels, averages(U), *numbers, noise_share
+
+
+def _noise_energy(Y: ComplexArray, u: ComplexArray, starts: Index) -> Array:
+    """Return the energy (b, c) of a line of each channel that is not proportional to the load, in bands of lines (l,).
+
+    It is the scatter of the lines of a band, or of NOISE_LINES about its middle, about their mean response to the load.
+    """
+    lines = len(u)
+    ends = np.append(starts[1:], lines)
+    wider = np.maximum(NOISE_LINES - (ends - starts), 0)
+    first = np.clip(starts - wider // 2, 0, max(lines - NOISE_LINES, 0))
+    last = np.minimum(np.maximum(ends, first + NOISE_LINES), lines)
+    # Each second sum is that from the end of a window to the start of the next; there is one element behind the last.
+    limits = np.column_stack([first, last]).ravel()
+
+    def sums(values: NDArray[np.generic]) -> NDArray[np.complex128]:
+        padded = np.concatenate([values, np.zeros((1, *values.shape[1:]), values.dtype)])
+        return np.asarray(np.add.reduceat(padded, limits, axis=0)[::2])
+
+    of_load = np.maximum(sums(np.abs(u)[:, None] ** 2), TINY)
+    scatter = sums(np.abs(Y) ** 2) - np.abs(sums(Y * u.conj()[:, None])) ** 2 / of_load
+    return np.asarray(np.maximum(scatter.real, 0.0) / np.maximum(last - first - 1, 1)[:, None], float)

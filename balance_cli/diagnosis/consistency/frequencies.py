@@ -31,6 +31,9 @@ ODD_RATIO = 200.0
 """Ratio of the stiffness of a cell to the median of all from which its unit is doubted."""
 ODD_CELL_SHARE = 0.7
 """Of the sum of squares of these logarithms: what may remain where the stiffness of a doubted cell is corrected."""
+LEAST_SIGNAL = 4.0
+"""Energy of a bin over that of its noise, from which it is compared: noise then changes it by an eighth at most. Where
+a hammer has little power, and at the lowest lines of a record, channels may show nothing but noise."""
 FEWEST_ROWS = 20
 """Rows of a sweep that are compared."""
 STATIC_FREQUENCY = 1e-3
@@ -160,12 +163,20 @@ def _distinct(sweeps: Sequence[Evidence]) -> list[Evidence]:
 
 
 def _smoothed(run: Evidence, computed: Callable[[Evidence], Array]) -> Array:
-    """Return half the log of the ratio of measured to computed energy in bins of frequency (amplitude, natural log)."""
+    """Return half the log of the ratio of measured to computed energy in bins of frequency (amplitude, natural log).
+
+    Bins where neither of them exceeds the noise are left out; where that is all, nothing differs.
+    """
     load = np.abs(run.loads[:, run.applied[0]]) ** 2
-    measured = np.nansum(np.abs(run.forces) ** 2, axis=1) / load
+    energy_of_forces = np.abs(run.forces) ** 2
+    measured = np.nansum(energy_of_forces, axis=1) / load
+    noise = np.nansum(energy_of_forces * run.rows.noise_share, axis=1) / load
     bins = np.round(np.log(run.rows.frequency) / SMOOTHING).astype(int)
     bins -= bins.min()
     counts = np.bincount(bins)
-    means = [np.bincount(bins, energy)[counts > 0] / counts[counts > 0] for energy in (measured, computed(run))]
+    energies = (measured, computed(run), noise)
+    means = [np.bincount(bins, energy)[counts > 0] / counts[counts > 0] for energy in energies]
     tiny = np.finfo(float).tiny
-    return np.asarray(0.5 * np.log(np.maximum(means[0], tiny) / np.maximum(means[1], tiny)))
+    ratios = 0.5 * np.log(np.maximum(means[0], tiny) / np.maximum(means[1], tiny))
+    is_signal = np.maximum(means[0], means[1]) > LEAST_SIGNAL * means[2]
+    return np.asarray(ratios[is_signal] if is_signal.any() else np.zeros(1))
