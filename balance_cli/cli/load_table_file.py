@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from balance_cli.reduction.result import HubLoads
 
 
+SUFFIX_REMEDY = "End its name with .csv or .h5; `balance export` makes Parquet and other formats of an .h5"
+
+
 def check_table_suffix(output: Path) -> None:
     """Raise UserError unless the name says which of the two is wanted."""
     if output.suffix not in TABLE_SUFFIXES:
-        raise UserError("the table is written as .csv or .h5", str(output), remedy="End its name with .csv or .h5")
+        raise UserError("the table is written as .csv or .h5", str(output), remedy=SUFFIX_REMEDY)
 
 
 def write_loads(session: Session, output: Path, loads: HubLoads, provenance: Provenance | None = None) -> None:

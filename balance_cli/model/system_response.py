@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.model.channel_gains import channel_gains
+from balance_cli.model.pole_response import forces_from_poles, solved_forces
 from balance_cli.model.system import System, complex_readings, dynamic_stiffness
 
 Array = NDArray[np.float64]
@@ -62,19 +63,15 @@ def response(system: System, solution: Solution) -> ComplexArray:
 def load_response(system: System, frequency: Array, spin: float = 0.0) -> ComplexArray:
     """T (k, c, 6) at `frequency` (k,) [Hz], as `response` has it of a solution, in half the time.
 
-    It needs no inverse, from which derivatives follow, and readings that are the same at all frequencies multiply the
-    motions at all of them at once.
+    It needs no inverse, from which derivatives follow; many frequencies need no solution each.
     """
-    motion = np.linalg.solve(dynamic_stiffness(system.pencil, frequency, spin), system.inputs.value)
-    if system.readings_loss.value.any() or system.readings_frequency_stiffness.value.any():
-        forces = np.moveaxis(complex_readings(system, frequency) @ motion, 1, 0)
-    else:
-        forces = np.tensordot(system.readings.value, motion, (1, 1))
+    forces = forces_from_poles(system, frequency, spin)
+    if forces is None:
+        forces = solved_forces(system, frequency, spin)
     gains = channel_gains(system.equations.paths, frequency)
-    volts = gains.T[:, :, None] * forces[system.springs_of_channels]
+    volts = gains[:, :, None] * forces[:, system.springs_of_channels]
     mixing = system.equations.mixing.value
-    mixed = volts if np.array_equal(mixing, np.eye(len(mixing))) else np.tensordot(mixing, volts, 1)
-    return np.ascontiguousarray(np.moveaxis(mixed, 0, 1))
+    return np.asarray(volts if np.array_equal(mixing, np.eye(len(mixing))) else mixing @ volts)
 
 
 def hub_motion(system: System, solution: Solution) -> ComplexArray:

@@ -1,15 +1,19 @@
 """Frequency responses against closed forms; their derivatives against numerical ones; modes; damping."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.model import pole_response
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant, variables
 from balance_cli.model.modes import eigenvalues, modes
 from balance_cli.model.plate import plate_matrices
+from balance_cli.model.pole_response import forces_from_poles, solved_forces
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system_response import load_response, response, solve
 from balance_cli.model.transient_modes import transient_modes
@@ -40,6 +44,45 @@ def test_response_without_the_inverse_is_the_same(effects):
     np.testing.assert_allclose(
         load_response(system, FREQUENCY, 17.5), expected, rtol=1e-9, atol=1e-12 * abs(expected).max()
     )
+
+
+def test_response_from_poles_is_that_of_a_solution_at_each_frequency():
+    system = balance_model(rotor_balance()).system()
+    frequency = np.linspace(0.5, 400.0, 2000)
+    expected = solved_forces(system, frequency, 17.5)
+    forces = forces_from_poles(system, frequency, 17.5)
+    assert forces is not None
+    error, size = np.abs(forces - expected), np.abs(expected)
+    assert np.all(error <= 1e-12 * size.max(axis=(0, 1)))
+    coupled = size > 1e-6 * size.max(axis=(0, 1))
+    np.testing.assert_allclose(forces[coupled], expected[coupled], rtol=1e-9)
+    both = load_response(system, frequency, 17.5), response(system, solve(system, frequency, 17.5))
+    np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-12 * np.abs(both[1]).max())
+
+
+def test_what_is_no_sum_over_poles_is_solved():
+    system = balance_model(rotor_balance()).system()
+    frequency = np.linspace(1.0, 150.0, 200)
+    assert forces_from_poles(system, np.concatenate([[0.0], frequency]), 0.0) is None
+    assert forces_from_poles(system, frequency[:20], 0.0) is None
+    massless = np.where(np.arange(len(system.pencil.mass.value)) == 0, 0.0, system.pencil.mass.value)
+    without_mass = replace(system, pencil=replace(system.pencil, mass=constant(massless, system.parameters)))
+    assert forces_from_poles(without_mass, frequency, 0.0) is None
+    assert np.isfinite(load_response(without_mass, frequency)).all()
+    effect = DeclaredEffect(name="structural-damping", where=("all",), parameters={"loss_factor": 0.03})
+    lossy = balance_model(rotor_balance().model_copy(update={"effects": (effect,)})).system()
+    assert forces_from_poles(lossy, frequency, 0.0) is None
+    np.testing.assert_array_equal(
+        load_response(lossy, frequency),
+        np.concatenate([load_response(lossy, part) for part in np.split(frequency, 10)]),
+    )
+
+
+def test_sums_that_rounding_spoils_are_solved(monkeypatch):
+    system, frequency = balance_model(rotor_balance()).system(), np.linspace(1.0, 150.0, 200)
+    poles, residues = pole_response._poles_and_residues(system, 0.0)
+    monkeypatch.setattr(pole_response, "_poles_and_residues", lambda *_: (poles, residues * (1 + 1e-9)))
+    assert forces_from_poles(system, frequency, 0.0) is None
 
 
 def test_torque_acts_on_the_shaft_and_not_on_the_plate():
