@@ -93,12 +93,35 @@ def _held_force(values: Array, span: float) -> float:
 def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArray[np.intp], Array]:
     """The last slip of the contact at each instant (n,), -1 before the first, and its direction (+-1, or 0).
 
-    The play operator w_t = min(max(w_{t-1}, d_t - distance), d_t + distance) is a chain of clamps. A chain of clamps is
-    a clamp, so that all of them follow by doubling (prefix scan). It begins at w = 0; periodic elongations are run
-    through twice.
+    The play operator w_t = min(max(w_{t-1}, d_t - distance), d_t + distance) is a chain of clamps. It begins at w = 0;
+    periodic elongations are run through twice.
     """
     n = len(d)
     path = np.concatenate([d, d]) if is_periodic else d
+    # While d goes in one direction, one side of the clamp binds, and more so at every instant: w follows at once from
+    # its value at the turn before.
+    turns = _turning_points(path)
+    at_turns = _play_at_turns(path[turns], distance)
+    w = np.repeat(at_turns, np.diff(turns, append=len(path)))
+    w = np.clip(w, path - distance, path + distance)
+    moved = np.diff(w, prepend=0.0)
+    last = np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(path)), -1))
+    direction = np.where(last >= 0, np.sign(moved)[last], 0.0)
+    return np.where(last >= 0, last % n, -1)[-n:], direction[-n:]
+
+
+def _turning_points(path: Array) -> NDArray[np.intp]:
+    """Instants (m,) at which a path (n,) turns or rests, its first and its last one."""
+    rises = np.sign(np.diff(path))
+    turns = np.ones(len(path), bool)
+    turns[1:-1] = rises[1:] * rises[:-1] <= 0.0
+    return np.flatnonzero(turns)
+
+
+def _play_at_turns(path: Array, distance: float) -> Array:
+    """The play operator (m,) at the turns of a path (m,): a chain of clamps is a clamp, so that all of them follow by
+    doubling (prefix scan).
+    """
     low, high = path - distance, path + distance
     step = 1
     while step < len(path):
@@ -111,11 +134,7 @@ def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArra
             np.concatenate([high[:step], np.minimum(np.maximum(before_high, after_low), after_high)]),
         )
         step *= 2
-    w = np.clip(0.0, low, high)
-    moved = np.diff(w, prepend=0.0)
-    last = np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(path)), -1))
-    direction = np.where(last >= 0, np.sign(moved)[last], 0.0)
-    return np.where(last >= 0, last % n, -1)[-n:], direction[-n:]
+    return np.asarray(np.clip(0.0, low, high))
 
 
 EFFECT = Effect(

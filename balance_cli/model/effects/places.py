@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,7 @@ def nonempty_subsets(names: tuple[str, ...]) -> tuple[Where, ...]:
     return tuple(sorted(subsets, key=lambda where: (len(where), [names.index(name) for name in where])))
 
 
+@cache
 def ordered_pairs(names: tuple[str, ...]) -> tuple[Where, ...]:
     """All pairs of two different names, in both orders."""
     return tuple((first, second) for first in names for second in names if first != second)
