@@ -19,6 +19,9 @@ Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 Selection = Mask | slice
 
+MAX_READING_SHARE = 0.2
+"""Share of the channels' derivatives above which all are computed as one matrix product: picking them costs as much."""
+
 
 def multiply_derivatives(derivatives: Array, vectors: ComplexArray) -> ComplexArray:
     """Derivatives (p, a, b) times vectors (K, b), as one matrix product: (K, a, p)."""
@@ -44,10 +47,24 @@ def _force_volts_jacobian(
         matrices += [system.readings_loss.derivative, system.readings_frequency_stiffness.derivative]
         vectors += [1j * np.sign(frequency) * x, log_frequency_ratio(frequency) * x]
     of_readings = np.concatenate([part[selection][:, springs] for part in matrices], axis=2)
-    derivatives = multiply_derivatives(of_readings, np.concatenate(vectors, axis=1))
-    derivatives *= gains[index][:, :, None]
-    derivatives += (gains[:, :, None] * solution.force_influence[:, springs])[index] @ change
-    return derivatives
+    derivatives = (gains[:, :, None] * solution.force_influence[:, springs])[index] @ change
+    _add_reading_changes(derivatives, of_readings, np.concatenate(vectors, axis=1), gains[index])
+    return np.asarray(derivatives)
+
+
+def _add_reading_changes(
+    derivatives: ComplexArray, of_readings: Array, vectors: ComplexArray, gains: ComplexArray
+) -> None:
+    """Add those of the readings (p, c, b) of vectors (K, b) times gains (K, c) to `derivatives` (K, c, p), in place.
+
+    A stiffness changes the reading of its own spring alone.
+    """
+    changes = of_readings.any(axis=2)
+    if np.count_nonzero(changes) > MAX_READING_SHARE * changes.size:
+        derivatives += gains[:, :, None] * multiply_derivatives(of_readings, vectors)
+        return
+    parameter, channel = np.nonzero(changes)
+    derivatives[:, channel, parameter] += gains[:, channel] * (vectors @ of_readings[parameter, channel].T)
 
 
 def hub_motion_jacobian(system: System, solution: Solution, index: Index, loads: ComplexArray) -> ComplexArray:
