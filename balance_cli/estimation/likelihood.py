@@ -139,8 +139,14 @@ def _eliminate_loads(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray,
         return S[:, :c, :c], None
     SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
     normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
-    influence = np.linalg.solve(normal, SM[:, :c].conj().swapaxes(1, 2))
-    return np.asarray(S[:, :c, :c] - np.matmul(SM[:, :c], influence), complex), np.asarray(influence, complex)
+    transposed = SM[:, :c].conj().swapaxes(1, 2)
+    if normal.shape[1] == 1:  # one excited component at a time, as in most sweeps: no matrix to invert
+        influence = transposed / normal
+        removed = SM[:, :c] * influence
+    else:
+        influence = np.linalg.solve(normal, transposed)
+        removed = np.matmul(SM[:, :c], influence)
+    return np.subtract(S[:, :c, :c], removed, out=removed), np.asarray(influence, complex)
 
 
 def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray:
