@@ -47,7 +47,7 @@ from balance_cli.estimation.transients import (
 from balance_cli.model.exciter_loads import true_load_derivatives, true_loads
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
-from balance_cli.model.system_response import Solution, response, solve
+from balance_cli.model.system_response import Solution, response
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -285,9 +285,11 @@ def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
 
 def data_chi2(batches: Sequence[Batch], system: System) -> float:
     """Chi-square of all measured lines, without derivatives."""
+    shared = SharedSolutions(system)
 
     def chi2(batch: Batch) -> float:
-        return evaluate_batch(batch, system, solve(system, batch.frequency, batch.spin)).total
+        solution = shared.solution(batch.frequency, batch.spin)
+        return evaluate_batch(batch, system, solution, shared=shared).total
 
     with ThreadPoolExecutor(WORKERS) as workers:
         return float(sum(workers.map(chi2, batches)))

@@ -24,7 +24,6 @@ from balance_cli.estimation.likelihood import evaluate_prediction
 from balance_cli.estimation.prediction import BatchPrediction, predict_batch
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.system import System
-from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -73,9 +72,10 @@ def _add_batch_error(batch: Batch, relative_errors: Array, power: Array | None) 
     # Where the error is zero its inverse is large compared with the noise's precision, not infinite.
     negligible = 1e-12 / np.maximum(np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c], 1e-300)
     inverse = np.where(is_live, 1.0 / np.maximum(variance, np.minimum(negligible, 1e100)), 1.0)
-    inner = S[:, :c, :c] + inverse[:, :, None] * np.eye(c)
+    inner = S[:, :c, :c].copy()
+    inner[:, range(c), range(c)] += inverse
     removed = S[:, :, :c] @ np.linalg.solve(inner, S[:, :c, :])
-    return replace(batch, lines=replace(batch.lines, precision=np.asarray(S - removed, complex)))
+    return replace(batch, lines=replace(batch.lines, precision=np.subtract(S, removed, out=removed)))
 
 
 def local_response_power(batch: Batch) -> Array:
@@ -155,7 +155,7 @@ def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
 
 
 def _predict(batch: Batch, system: System, shared: SharedSolutions) -> BatchPrediction:
-    solution = solve(system, batch.frequency, batch.spin)
+    solution = shared.solution(batch.frequency, batch.spin)
     return predict_batch(batch, system, solution, derivatives=False, shared=shared)
 
 
