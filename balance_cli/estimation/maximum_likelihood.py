@@ -50,22 +50,30 @@ def fit_maximum_likelihood(
 
 
 def take_first_steps(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, prior_scales: float, min_decrease: float
+    model: BalanceModel,
+    theta: Array,
+    batches: Sequence[Batch],
+    count: int,
+    prior_scales: float,
+    min_decrease: float,
+    known: Curvature | None = None,
 ) -> Minimum:
     """Take at most `count` steps from `theta`, with weak priors of `prior_scales` scales on parameters without one.
 
     As long as an effect is small, the data have no information on the parameters of its shape, and steps along these
     would delay all others. The fit ends when the predicted decrease of chi-square is less than `min_decrease`. The weak
-    priors are part of `total`.
+    priors are no part of `total`. `known`: the curvature of the data at `theta`, as in a whole fit.
     """
-    return minimize(
+    minimum = minimize(
         add_weak_priors(model.parameters, theta, prior_scales),
         theta,
         lambda at: data_curvature(batches, model.system(at)),
         lambda at: data_chi2(batches, model.system(at, derivatives=False)),
         iterations=count,
         tolerance=min_decrease,
+        known=known,
     )
+    return replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta))
 
 
 def penalized_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:

@@ -86,11 +86,10 @@ def refine_point_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch
         if not np.isfinite(penalized_chi2(model, start, batches)):
             return theta
         follow = settings.point_mass.follow_steps
-        trial = take_first_steps(model, start, batches, follow, REGRESSION_PRIOR_SCALES, min_gain).theta
-        trial_chi2 = penalized_chi2(model, trial, batches)
-        if not trial_chi2 < chi2 - min_gain:
-            return trial if trial_chi2 < chi2 else theta
-        theta, chi2 = trial, trial_chi2
+        end = take_first_steps(model, start, batches, follow, REGRESSION_PRIOR_SCALES, min_gain)
+        if not end.total.chi2 < chi2 - min_gain:
+            return end.theta if end.total.chi2 < chi2 else theta
+        theta, chi2 = end.theta, end.total.chi2
     return theta
 
 

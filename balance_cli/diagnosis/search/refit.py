@@ -20,8 +20,8 @@ from balance_cli.diagnosis.search.score_statistics import Score, add_scored_cand
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.levenberg_marquardt import prior_curvature
-from balance_cli.estimation.likelihood import data_chi2
+from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
+from balance_cli.estimation.likelihood import Curvature, data_chi2
 from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
 from balance_cli.estimation.model_error import (
     ModelErrors,
@@ -68,7 +68,8 @@ def fit_until_stable(
     """
     shares = estimate_model_error(lines.fitted, model.system(theta, derivatives=False), shares)
     for _ in range(settings.search_rounds):
-        theta = take_steps(model, theta, add_model_error(lines.fitted, shares), settings.search_steps, settings)
+        weighted = add_model_error(lines.fitted, shares)
+        theta = take_steps(model, theta, weighted, settings.search_steps, settings).theta
         before, shares = shares, estimate_model_error(lines.fitted, model.system(theta, derivatives=False), shares)
         if all(shares[run] >= (1.0 - settings.min_error_decrease) * before[run] for run in shares):
             break
@@ -79,10 +80,20 @@ def fit_until_stable(
     return SearchState(model, theta, shares, fit_criterion, validation_criterion)
 
 
-def take_steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, settings: FitSettings) -> Array:
-    """Return `theta` after at most `count` steps of maximum likelihood; poorly informed parameters stay near it."""
-    minimum = take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, settings.search_min_step_gain)
-    return minimum.theta
+def take_steps(
+    model: BalanceModel,
+    theta: Array,
+    batches: Sequence[Batch],
+    count: int,
+    settings: FitSettings,
+    known: Curvature | None = None,
+) -> Minimum:
+    """Return the end of at most `count` steps of maximum likelihood; poorly informed parameters stay near `theta`.
+
+    `known`: the curvature of the data at `theta`, where other steps have ended there.
+    """
+    min_gain = settings.search_min_step_gain
+    return take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, min_gain, known)
 
 
 def minus_two_log_likelihood(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: ModelErrors) -> float:
@@ -125,10 +136,9 @@ def _best_partial_fit(
 ) -> PartialFit:
     before = penalized_chi2(state.model, state.theta, batches)
     ends = [take_steps(model, start, batches, settings.trial_steps, settings) for start in starts]
-    best = min(ends, key=lambda end: penalized_chi2(model, end, batches))
-    best = take_steps(model, best, batches, settings.trial_steps, settings)
-    chi2 = penalized_chi2(model, best, batches)
-    return PartialFit(model, best, data_count(batches) * float(np.log(before / chi2)))
+    best = min(ends, key=lambda end: end.total.chi2)
+    best = take_steps(model, best.theta, batches, settings.trial_steps, settings, best.data)
+    return PartialFit(model, best.theta, data_count(batches) * float(np.log(before / best.total.chi2)))
 
 
 def data_count(batches: Sequence[Batch]) -> float:

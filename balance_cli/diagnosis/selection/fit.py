@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.settings import FitSettings
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
+from balance_cli.estimation.levenberg_marquardt import Minimum
 from balance_cli.estimation.maximum_likelihood import ITERATIONS, fit_maximum_likelihood, take_first_steps
 from balance_cli.model.balance import BalanceModel
 
@@ -70,10 +70,8 @@ def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> F
 
 def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:
     """Return the first steps of a fit, in which parameters without a prior stay near `theta` (p,)."""
-    minimum = take_first_steps(
-        model, theta, batches, settings.start_steps, settings.max_start_scales, settings.min_step_gain
-    )
-    return Fit(model, replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta)))
+    steps, scales, min_gain = settings.start_steps, settings.max_start_scales, settings.min_step_gain
+    return Fit(model, take_first_steps(model, theta, batches, steps, scales, min_gain))
 
 
 def unexplained_chi2(fit: Fit, batches: Sequence[Batch], error_runs: Collection[str], settings: FitSettings) -> float:
