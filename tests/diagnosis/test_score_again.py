@@ -21,6 +21,7 @@ from tests.estimation.test_likelihood import noisy_lines
 from tests.support.rigs import rotor_balance
 
 DELAY = 2e-3
+LIKE_A_DELAY = ("time-delay", "low-pass")
 TRIED = ("time-delay", "channel-gain", "low-pass", "parallel-stiffness", "support-flexibility")
 SETTINGS = replace(
     DEFAULT_SETTINGS, excluded=tuple(effect.name for effect in effects.EFFECTS if effect.name not in TRIED)
@@ -47,8 +48,10 @@ def test_the_smallest_p_value_is_that_of_the_model_without_a_dropped_effect(late
     reduced = refit_without_effect(fit, effect, batches, SETTINGS.fit)
     without = score_again(with_delay, reduced, batches, SETTINGS)
     assert without.smallest_p_value < SETTINGS.selection.significance_level
-    best = max(without.scores, key=lambda score: score.gain)
-    assert best.candidate.label == effect.label
+    first, second = sorted(without.scores, key=lambda score: -score.gain)[:2]
+    # At its null a low-pass has the derivative of a delay: which of them is first, rounding decides.
+    assert {first.candidate.label, second.candidate.label} == {effect.label, effect.label.replace(*LIKE_A_DELAY)}
+    assert second.gain == pytest.approx(first.gain, rel=1e-9)
     refused = replace(with_delay, refused=frozenset(score.candidate.label for score in without.scores))
     assert score_again(refused, reduced, batches, SETTINGS).smallest_p_value == 1.0
 
