@@ -134,6 +134,18 @@ class ZeroDriftSettings:
 
 
 @dataclass(frozen=True)
+class CommonLoadGainSettings:
+    """Load gains of several components that are one factor."""
+
+    min_components: int = 3
+    """Load gains that must agree: two components may share an exciter, and so its force cell; three do not."""
+    max_spread: float = 0.1
+    """Of the departure from one: of gains of their own, three so close are a chance of some percent."""
+    max_sigma: float = 3.0
+    """Standard deviations between the gain of one component and that of all."""
+
+
+@dataclass(frozen=True)
 class ExclusionSettings:
     """Channels and runs that are left out where no effect describes all data."""
 
@@ -154,4 +166,5 @@ class DataTestSettings:
     record_changes: RecordChangeSettings = field(default_factory=RecordChangeSettings)
     mains: MainsDetectionSettings = field(default_factory=MainsDetectionSettings)
     zero_drift: ZeroDriftSettings = field(default_factory=ZeroDriftSettings)
+    common_load_gain: CommonLoadGainSettings = field(default_factory=CommonLoadGainSettings)
     exclusions: ExclusionSettings = field(default_factory=ExclusionSettings)

@@ -94,7 +94,8 @@ class IdentifiedModel(ResultView):
     maximum likelihood; `covariance` (p, p) is that of all parameters, with zero rows for exact ones; `unidentifiable`
     describes the directions that the data alone do not determine; `channels_left_out` {run: {channel: why}};
     `consistency` is what the cross-checks said of the runs, None where nothing. `usual_noise` is that of the channels
-    near half the sample rate, which the sweeps have in common; None where they have none.
+    near half the sample rate, which the sweeps have in common; None where they have none. `gain_error`: what all
+    channels may read too much or too little in wind-on runs, relative, of which a diagnosis could not tell the cause.
     """
 
     form: str
@@ -113,6 +114,7 @@ class IdentifiedModel(ResultView):
     response_error: ResponseError | None = field(default=None, metadata={"omit_if_none": True})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     usual_noise: tuple[UsualNoise, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    gain_error: float | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def untrusted_channels(self) -> dict[str, str]:

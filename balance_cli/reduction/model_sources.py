@@ -24,7 +24,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
-from balance_cli.model.system_response import load_response, solve
+from balance_cli.model.system_response import load_response, response, solve
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
 from balance_cli.reduction.response_sources import ChannelCombination, ResponseSource, select_channels
 
@@ -92,11 +92,16 @@ class ModelSource:
         return remove_nonlinear_contribution(run, self.system, self.model.geometry, live)
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
-        """Return J Cov J' with J = d(T f)/d(parameters)."""
+        """Return J Cov J' with J = d(T f)/d(parameters), and the error of the gain of all channels."""
         solution = solve(self.system, frequency, spin)
         jacobian = output_jacobian(self.system, solution, np.arange(len(solution.frequency)), loads)
         J = np.concatenate([jacobian.real, jacobian.imag], axis=1)
-        return np.asarray(J @ self.parameter_covariance @ J.swapaxes(1, 2))
+        covariance = J @ self.parameter_covariance @ J.swapaxes(1, 2)
+        if self.model.gain_error:
+            off = self.model.gain_error * (response(self.system, solution) @ loads[:, :, None])
+            off = np.concatenate([off.real, off.imag], axis=1)
+            covariance = covariance + off @ off.swapaxes(1, 2)
+        return np.asarray(covariance)
 
     @property
     def parameter_covariance(self) -> Array:

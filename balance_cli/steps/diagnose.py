@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.diagnosis.common_load_gain import judge_common_load_gain
 from balance_cli.diagnosis.conclusions import (
     decide_verdict,
     describe_added_effects,
@@ -78,6 +79,7 @@ def diagnose(
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
     drift = share_with_contacts(zeros.drift, fit.model.system(fit.theta), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
+    diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
     announce("done")
     return diagnosis, updated
 
@@ -107,6 +109,8 @@ def _build_diagnosis(
     # Something is left out only where all other data are described.
     explained = verdict in (NOTHING_MISSING, EXPLAINED) or left_out is not None
     scores, updated_geometry = update.confirmation.scores, update.fit.model.geometry
+    # A model that stays has one quality; the one stored with it is that of its identification, without means.
+    after = quality if updated is model else updated.quality
     return Diagnosis(
         geometry=model.geometry,
         verdict=verdict,
@@ -115,9 +119,9 @@ def _build_diagnosis(
         data_tests=model_free_tests(spectra, model.geometry, _lowest_mode(updated), settings),
         untestable_effects=find_untestable_effects(scores, spectra, updated_geometry, settings.selection),
         chi2_per_dof_before=quality.chi2_per_dof,
-        chi2_per_dof_after=updated.quality.chi2_per_dof,
+        chi2_per_dof_after=after.chi2_per_dof,
         frf_error_before=quality.frf_error,
-        frf_error_after=updated.quality.frf_error,
+        frf_error_after=after.frf_error,
         modes_before=model.modes,
         modes_after=updated.modes,
         residual=residual,
@@ -126,7 +130,7 @@ def _build_diagnosis(
         notes=diagnosis_notes(spectra, update.fit, updated, settings),
         settings=settings,
         left_out=left_out,
-        dof=updated.quality.dof,
+        dof=after.dof,
     )
 
 

@@ -14,6 +14,7 @@ from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
+from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response, rotor_record
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
@@ -81,6 +82,7 @@ def reduce_record(
         unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
     )
     mean_solution = add_resting_forces(mean_solution, record, geometry, source, zero is not None)
+    mean_solution = add_gain_error(mean_solution, source)
     response = harmonic_response(record, geometry, source)
     solved = harmonic_loads(record, geometry, source, response)
     harmonic_solution = add_dynamic_error(solved, record, geometry, source)

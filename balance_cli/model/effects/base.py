@@ -110,7 +110,8 @@ class Effect:
     - `empirical`: the effect describes without explaining; it is tried only after all others.
     - `needs_mean`: it shows in the mean of a record, in the curvature of static rows or through channels as functions
       of time. `needs_spin`: it shows only with the rotor turning. `is_zero_reading`: it is a reading without load, on
-      which nothing but the mean of a channel depends in a linear model.
+      which nothing but the mean of a channel depends in a linear model. `is_load_gain`: a gain of an
+      exciter's load.
     - `search`: how the diagnosis finds it.
     """
 
@@ -129,4 +130,5 @@ class Effect:
     needs_mean: bool = False
     needs_spin: bool = False
     is_zero_reading: bool = False
+    is_load_gain: bool = False
     search: SearchHints = field(default_factory=SearchHints)

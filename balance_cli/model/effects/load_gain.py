@@ -38,4 +38,5 @@ EFFECT = Effect(
     places=each_component,
     parameters=_parameters,
     apply=_apply,
+    is_load_gain=True,
 )
