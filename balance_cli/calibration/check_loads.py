@@ -143,7 +143,7 @@ def _non_iterative_loads(
     computed = other.loads(change)
     covariance = _zero_covariance(models.noise.reading_covariance, zero.variance)
     interval = other.prediction_interval(change, covariance)
-    truncation = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * other.difference(change, model)
+    truncation = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * other.truncation(change, model)
     return CheckLoads(
         run=run,
         applied=loads,

@@ -64,13 +64,17 @@ class CalibrationModel:
 
     @property
     def press_ratio(self) -> Array:
-        """Rms error of rows that the others predict over the residual standard deviation (c,), at least 1.
+        """Rms error of rows that the others predict over what the residuals let expect (c,), at least 1.
 
         Terms are selected, and fitted, so that they follow what the model lacks: rows that are not fitted show more of
-        it than the residuals do. 1 where the error is not known.
+        it than the residuals do. With the variance S of the residuals, n rows and d degrees of freedom the errors of
+        the coefficients make S n/d of it: they are no lack. 1 where the error is not known.
         """
-        sigma = np.sqrt(np.maximum(np.diag(self.residual_covariance), np.finfo(float).tiny))
-        return np.maximum(np.nan_to_num(self.press / sigma, nan=1.0, posinf=1.0), 1.0)
+        zeros = len(self.zeros)
+        fitted = np.count_nonzero(np.isfinite(self.t), axis=0) + zeros
+        by_coefficients = np.where(self.dof > 0.0, (self.dof + fitted) / np.maximum(self.dof, 1.0), 1.0)
+        variance = np.maximum(np.diag(self.residual_covariance) * by_coefficients, np.finfo(float).tiny)
+        return np.maximum(np.nan_to_num(self.press / np.sqrt(variance), nan=1.0, posinf=1.0), 1.0)
 
     def inverse(self, rows: NDArray[np.intp] | None = None) -> Array:
         """Weighted inverse W (k, c) of the linear part, loads in units of the calibrated range; rows: some channels."""

@@ -47,15 +47,21 @@ class NonIterativeModel:
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
         return np.asarray(term_values(self.model.parsed_terms, y) @ self.model.coefficients * self.calibrated_range)
 
-    def difference(self, change: ArrayLike, model: CalibrationModel) -> Array:
-        """Loads (m, k) [N, N m] of readings (m, c) [V] less the zero, less those by iteration with the `model`.
+    def truncation(self, change: ArrayLike, model: CalibrationModel) -> Array:
+        """Error (m, k) [N, N m] of the loads of readings (m, c) [V] less the zero that is due to the degree of terms.
 
         The polynomial of the readings is no exact inverse: of strong curvature it leaves terms of higher degree, which
-        no row with few loads shows. Where the iteration does not converge, the linear loads take its place.
+        no row with few loads shows. It is the difference from the iteration with the `model`, less what the errors of
+        the own coefficients explain, which intervals contain anyway, in the root mean square. Where the iteration does
+        not converge, the linear loads take its place.
         """
         iterated, _ = model.loads(change)
         linear = np.atleast_2d(np.asarray(change, float)) @ model.inverse().T * model.calibrated_range
-        return np.asarray(self.loads(change) - np.where(np.isfinite(iterated), iterated, linear))
+        other = np.where(np.isfinite(iterated), iterated, linear)
+        y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
+        by_chance = np.diagonal(self.model.model_covariance(y), axis1=1, axis2=2) * self.calibrated_range**2
+        difference = self.loads(change) - other
+        return np.asarray(np.sign(difference) * np.sqrt(np.maximum(difference**2 - by_chance, 0.0)))
 
     def load_covariance(self, change: ArrayLike, reading_covariance: Array, row_noise: Array) -> Array:
         """Covariance (k, k) [N2, N2 m, (N m)2] of the loads for a reading (c,) [V] less its zero.

@@ -112,21 +112,39 @@ def find_cubic_products(model: CalibrationModel, x: Array, readings: Array, bloc
     if np.all(sigma**2 * shown >= FOUND_FROM**2 * noise):
         return None
     mean_square = float(np.sum(squares**2) + np.sum(triples**2)) / len(x)
-    return CubicProducts(_cubic_variance(squares, residuals, noise, sigma**2), mean_square)
+    unit = _largest_response(model) ** 2
+    estimates = _quadratic_estimates(squares, residuals, noise)
+    return CubicProducts(unit * _shared_variance(*(v / unit for v in (*estimates, sigma**2))), mean_square)
 
 
-def _cubic_variance(columns: Array, residuals: Array, noise: Array, prior: Array) -> Array:
-    """Variance (c,) [V2] of coefficients of columns (m, q) in residuals (m, c) with `noise` (c,) and a `prior` (c,).
-
-    The quadratic estimate and the prior, each with its own standard deviation, are weighted: that of the prior is its
-    size.
-    """
+def _quadratic_estimates(columns: Array, residuals: Array, noise: Array) -> tuple[Array, Array]:
+    """Variances (c,) [V2] of coefficients of columns (m, q) in residuals (m, c) with `noise` (c,), and their sigma."""
     size = float(np.linalg.norm(columns.T @ columns))
     if size <= np.finfo(float).tiny:
+        return np.zeros(len(noise)), np.full(len(noise), np.inf)
+    estimates = (np.sum((columns.T @ residuals) ** 2, axis=0) - noise * np.sum(columns**2)) / size**2
+    return estimates, np.sqrt(2.0) * noise / size
+
+
+def _shared_variance(estimates: Array, sigma: Array, prior: Array) -> Array:
+    """Variances (c,) of channels, over their response, from `estimates` with `sigma` and from a `prior` (c,).
+
+    A variance is not negative: chance alone would leave two fifths of sigma in each channel. The channels therefore
+    share one variance, as far as they do not differ by more than chance (DerSimonian and Laird, Control. Clin. Trials
+    7, 1986, 177), and each is moved toward it (empirical Bayes). The prior, whose standard deviation is its size, is
+    weighted with that.
+    """
+    if not np.isfinite(sigma).all():
         return prior
-    estimate = (np.sum((columns.T @ residuals) ** 2, axis=0) - noise * np.sum(columns**2)) / size**2
-    weight = (np.sqrt(2.0) * noise / size) ** 2
-    combined = (estimate * prior**2 + prior * weight) / np.maximum(prior**2 + weight, np.finfo(float).tiny)
+    weight = 1.0 / np.maximum(sigma, np.finfo(float).tiny) ** 2
+    total = float(np.sum(weight))
+    common = float(weight @ estimates) / total
+    excess = float(weight @ (estimates - common) ** 2) - (len(estimates) - 1)
+    spread = max(excess / max(total - float(np.sum(weight**2)) / total, np.finfo(float).tiny), 0.0)
+    own = spread / (spread + sigma**2)
+    moved = own * estimates + (1.0 - own) * common
+    variance = own * sigma**2 + (1.0 - own) ** 2 / total
+    combined = (moved * prior**2 + prior * variance) / np.maximum(prior**2 + variance, np.finfo(float).tiny)
     return np.asarray(np.clip(combined, 0.0, prior))
 
 
@@ -135,9 +153,15 @@ def _odd_size(model: CalibrationModel) -> Array:
     k = len(model.components)
     up, down = (term_values(model.parsed_terms[k:], side * np.eye(k)) for side in (1.0, -1.0))
     odd = 0.5 * (up - down) @ model.coefficients[k:]
-    linear = np.maximum(np.max(np.abs(model.coefficients[:k]), axis=0), np.finfo(float).tiny)
+    linear = _largest_response(model)
     share = np.sqrt(np.mean(odd**2, axis=0)) / linear
     return np.asarray(linear * np.maximum(share, np.sqrt(np.mean(share**2))))
+
+
+def _largest_response(model: CalibrationModel) -> Array:
+    """Largest linear coefficient (c,) [V] of each channel, to which its other terms are related."""
+    largest = np.max(np.abs(model.coefficients[: len(model.components)]), axis=0)
+    return np.asarray(np.maximum(largest, np.finfo(float).tiny))
 
 
 def _cubic_products(x: Array) -> Array:

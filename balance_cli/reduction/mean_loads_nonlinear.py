@@ -145,7 +145,7 @@ def _non_iterative_variance(direct: NonIterativeModel, calibration: Calibration,
     model = calibration.all_trims.loads_model
     row_noise = (1.0 - _misfit_share(calibration, model)) * model.residual_covariance
     covariance = direct.load_covariance(reading.change, reading.covariance, row_noise)
-    return np.asarray(np.diag(covariance) + direct.difference(reading.change, model)[0] ** 2)
+    return np.asarray(np.diag(covariance) + direct.truncation(reading.change, model)[0] ** 2)
 
 
 def _loads_determined(model: CalibrationModel, rows: Index) -> bool:

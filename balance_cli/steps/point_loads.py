@@ -198,7 +198,7 @@ def _load_covariances(
     if direct is not None:
         pairs = zip(change, _widening(usable) * noise, strict=True)
         covariance = np.stack([direct.load_covariance(row, own, usable.noise) for row, own in pairs])
-        truncation = direct.difference(change, model)
+        truncation = direct.truncation(change, model)
         return np.asarray(covariance + truncation[:, :, None] * truncation[:, None, :])
     return np.stack([model.load_covariance(row, own, rows)[0] for row, own in zip(loads, noise, strict=True)])
 

@@ -7,7 +7,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
-from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.load_method import choose_load_method
 from balance_cli.calibration.noniterative import fit_noniterative_model
 from balance_cli.calibration.term_choice import LINEAR_TERMS
@@ -50,6 +50,32 @@ def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_mat
     straight = np.sqrt(np.mean(((math_model.loads(read)[0] - applied) / FULL_RANGE) ** 2))
     assert non_iterative < 1.5 * iterated
     assert non_iterative < 0.3 * straight
+
+
+def test_its_truncation_is_the_difference_from_the_iteration_beyond_the_errors_of_its_coefficients():
+    math_model, direct = fitted(stand_points())
+    rng = np.random.default_rng(4)
+    read = math_model.readings(rng.uniform(-0.6, 0.6, (200, 6)) * FULL_RANGE)
+    difference = direct.loads(read) - math_model.loads(read)[0]
+    truncation = direct.truncation(read, math_model)
+    y = read @ direct.inverse.T
+    own = np.diagonal(direct.model.model_covariance(y), axis1=1, axis2=2) * FULL_RANGE**2
+    chance = difference**2 <= own
+    assert np.all(truncation[chance] == 0.0) and 0.1 < chance.mean() < 0.9
+    np.testing.assert_allclose((truncation**2 + own)[~chance], difference[~chance] ** 2)
+    assert np.all(np.sign(truncation[~chance]) == np.sign(difference[~chance]))
+
+
+def test_errors_of_the_coefficients_are_no_misfit():
+    """Of pure noise, rows that the others predict err by more than the residuals, by leverage alone."""
+    ratios = []
+    for seed in range(20):
+        rng, x = np.random.default_rng(seed), np.linspace(-1.0, 1.0, 12)[:, None] * np.ones((1, 1))
+        points = CalibrationPoints(
+            ("a",), ("Fx",), ("r",), x + 0.01 * rng.standard_normal((12, 1)), x, np.zeros(12, int), np.ones(12), np.ones(1)
+        )
+        ratios.append(fit_calibration_model(points, LINEAR_TERMS).model.press_ratio[0])
+    assert np.median(ratios) < 1.03  # 1.1 with the errors of the coefficients
 
 
 def test_of_a_straight_balance_it_is_the_straight_inverse():

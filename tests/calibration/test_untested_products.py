@@ -9,6 +9,7 @@ import pytest
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.untested_products import find_untested_products
+from balance_cli.calibration.untold_terms import _shared_variance
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
@@ -157,6 +158,24 @@ def test_products_of_third_degree_are_in_the_intervals_where_pairs_of_loads_do_n
     assert model.is_nonlinear
     share = untested.reading_variance(run[2]).mean(axis=0) / np.diag(model.residual_covariance)
     assert np.all(share < 1.0)
+
+
+def test_variances_by_chance_share_one_value_and_a_channel_beyond_chance_keeps_its_own():
+    """Positive parts of each channel alone would be 0.4 sigma in the mean where there are no such products."""
+    sigma, prior = np.full(8, 0.03), np.full(8, 100.0)
+    drawn = 0.03 * np.random.default_rng(1).standard_normal((400, 8))
+    shared = np.array([_shared_variance(row, sigma, prior) for row in drawn])
+    assert shared.mean() < 0.2 * 0.03
+    alone = _shared_variance(np.r_[drawn[0, :7], 2.0], sigma, prior)
+    assert alone[7] == pytest.approx(2.0, rel=0.05)
+    alike = _shared_variance(1.0 + drawn[0], sigma, prior)
+    np.testing.assert_allclose(alike, 1.0, atol=0.1)
+
+
+def test_a_variance_that_the_rows_do_not_tell_is_that_of_the_prior():
+    prior = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(_shared_variance(np.zeros(3), np.full(3, np.inf), prior), prior)
+    np.testing.assert_allclose(_shared_variance(np.zeros(3), np.full(3, 1e3), prior), prior, rtol=1e-3)
 
 
 def test_terms_that_do_the_same_in_the_schedule_are_as_likely_beyond_it():
