@@ -72,7 +72,14 @@ def test_errors_of_the_coefficients_are_no_misfit():
     for seed in range(20):
         rng, x = np.random.default_rng(seed), np.linspace(-1.0, 1.0, 12)[:, None] * np.ones((1, 1))
         points = CalibrationPoints(
-            ("a",), ("Fx",), ("r",), x + 0.01 * rng.standard_normal((12, 1)), x, np.zeros(12, int), np.ones(12), np.ones(1)
+            ("a",),
+            ("Fx",),
+            ("r",),
+            x + 0.01 * rng.standard_normal((12, 1)),
+            x,
+            np.zeros(12, int),
+            np.ones(12),
+            np.ones(1),
         )
         ratios.append(fit_calibration_model(points, LINEAR_TERMS).model.press_ratio[0])
     assert np.median(ratios) < 1.03  # 1.1 with the errors of the coefficients
