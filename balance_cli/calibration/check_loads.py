@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.check_zeros import CheckZero, zeros_of_run
 from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
 from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
@@ -31,7 +32,7 @@ class CheckLoads:
     """Loads of a held-out run: applied (m, k) and computed (m, k) [N, N m], with half the prediction interval (m, k).
 
     `is_valid` (m,): rows within the calibrated loads for which the iteration converged. `method`: the model that
-    computed them, None for the calibration model.
+    computed them, None for the calibration model. `zeros`: how zeros that shift were assigned, None for a single one.
     """
 
     run: str
@@ -40,6 +41,7 @@ class CheckLoads:
     prediction_interval: Array = field(metadata={"stored_as": "interval"})
     is_valid: NDArray[np.bool_] = field(metadata={"stored_as": "solved"})
     method: str | None = field(default=None, metadata={"omit_if_none": True})
+    zeros: str | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def label(self) -> str:
@@ -59,14 +61,6 @@ class CheckLoads:
         """Rms error (k,) [N, N m] of the valid rows; NaN without any."""
         errors = (self.computed - self.applied)[self.is_valid]
         return np.asarray(np.sqrt(np.mean(errors**2, axis=0))) if len(errors) else np.full(errors.shape[1], np.nan)
-
-
-@dataclass(frozen=True)
-class _Zero:
-    """Readings (m, c) [V] of the unloaded rig in each row, and their variance (c,) [V2]."""
-
-    readings: Array
-    variance: Array
 
 
 @dataclass(frozen=True)
@@ -94,22 +88,33 @@ def evaluate_check_loads(
 ) -> tuple[CheckLoads, ...]:
     """Compute the loads of a held-out run from its readings (m, c) [V], with their prediction intervals.
 
-    The rows at the load (m, k) [N, N m] with which the run begins determine its zero: their mean reading less that of
-    the model. Where that load is one of many and no tare point, a zero that does not differ from that of the
-    calibration equals it. The interval includes the noise of a load reading where that load was applied. `weight`
+    The rows at the load (m, k) [N, N m] with which the run begins determine its zero, or unloaded ones: their mean
+    reading less that of the model. Where the run returns to that load and its zeros differ, each load series has its
+    own. Where that load is one of many and no tare point, a zero that does not differ from that of the calibration
+    equals it. The interval includes the noise of a load reading where that load was applied. `weight`
     (m, k): loads of the metric part in addition to those applied. One result for each of the models.
     """
     model, noise = models.model, models.noise
     added = np.zeros_like(loads) if weight is None else weight
-    tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD_TOLERANCE * model.calibrated_range, axis=1)
-    variance = np.diag(noise.reading_covariance) / np.count_nonzero(tare)
-    zero = np.mean(channels[tare] - model.readings((loads + added)[tare]), axis=0)
-    is_loaded = np.any(np.abs(loads[0]) > MIN_LOAD_CHANGE * model.calibrated_range)
+    tare = _tare_rows(loads, model.calibrated_range)
+    unloaded = channels - model.readings(loads + added)
+    zero = zeros_of_run(unloaded, tare, np.diag(noise.reading_covariance), float(model.dof.min()))
+    is_loaded = np.any(np.abs(loads[tare][0]) > MIN_LOAD_CHANGE * model.calibrated_range)
     if is_loaded and np.count_nonzero(tare) == 1 and len(model.zeros) == 1:
-        shift = (zero - model.zeros[0]) / np.sqrt(np.diag(model.residual_covariance) + model.zero_sigma[0] ** 2)
+        sigma = np.sqrt(np.diag(model.residual_covariance) + model.zero_sigma[0] ** 2)
+        shift = (zero.readings[0] - model.zeros[0]) / sigma
         if np.all(np.abs(shift) <= MAX_ZERO_SHIFT):
-            zero, variance = model.zeros[0], model.zero_sigma[0] ** 2
-    return _by_all_models(models, run, channels, loads, added, _Zero(zero[None], variance))
+            zero = CheckZero(model.zeros[:1], model.zero_sigma[0] ** 2)
+    return _by_all_models(models, run, channels, loads, added, zero)
+
+
+def _tare_rows(loads: Array, calibrated_range: Array) -> Mask:
+    """Rows (m,) that tell the zero: those at the first load, or unloaded ones where the run begins with another."""
+    tolerance = SAME_LOAD_TOLERANCE * calibrated_range
+    unloaded = np.all(np.abs(loads) <= tolerance, axis=1)
+    if unloaded.any() and np.any(np.abs(loads[0]) > MIN_LOAD_CHANGE * calibrated_range):
+        return np.asarray(unloaded)
+    return np.asarray(np.all(np.abs(loads - loads[0]) <= tolerance, axis=1))
 
 
 def evaluate_check_points(
@@ -120,12 +125,12 @@ def evaluate_check_points(
     `series` (m,): index of the zero of each row; `loads` (m, k) [N, N m] include the weight of the metric part where
     the model does.
     """
-    zero = _Zero(models.model.zeros[series], np.mean(models.model.zero_sigma[series] ** 2, axis=0))
+    zero = CheckZero(models.model.zeros[series], np.mean(models.model.zero_sigma[series] ** 2, axis=0))
     return _by_all_models(models, run, channels, loads, np.zeros_like(loads), zero)
 
 
 def _by_all_models(
-    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
+    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: CheckZero
 ) -> tuple[CheckLoads, ...]:
     first = _computed_loads(models, run, channels, loads, added, zero)
     if models.non_iterative is None:
@@ -134,7 +139,7 @@ def _by_all_models(
 
 
 def _non_iterative_loads(
-    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
+    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: CheckZero
 ) -> CheckLoads:
     """Check loads by the non-iterative method; its residuals contain the noise of readings and of applied loads."""
     model, other = models.model, models.non_iterative
@@ -151,6 +156,7 @@ def _non_iterative_loads(
         prediction_interval=models.add_untested(np.hypot(interval, truncation), computed),
         is_valid=_within_calibrated_loads(model, computed),
         method=NON_ITERATIVE,
+        zeros=zero.note,
     )
 
 
@@ -167,7 +173,7 @@ def _zero_covariance(S: Array, zero_variance: Array) -> Array:
 
 
 def _computed_loads(
-    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
+    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: CheckZero
 ) -> CheckLoads:
     model, noise = models.model, models.noise
     computed, is_valid = model.loads(channels - zero.readings)
@@ -176,7 +182,7 @@ def _computed_loads(
     if is_valid.any():
         known = _prediction_interval(model, noise, computed[is_valid], loads[is_valid], zero.variance)
         interval[is_valid] = models.add_untested(known, computed[is_valid])
-    return CheckLoads(run, loads, computed - added, interval, is_valid)
+    return CheckLoads(run, loads, computed - added, interval, is_valid, zeros=zero.note)
 
 
 def _prediction_interval(

@@ -224,6 +224,7 @@ def _suspect_series_summary(suspect: SuspectLoadSeries) -> dict[str, Any]:
 def _check_load_summary(check: CheckLoads, components: tuple[str, ...], full_scale: Any) -> dict[str, Any]:
     return {
         "method": check.method or "calibration model",
+        **({} if check.zeros is None else {"zeros": check.zeros}),
         "rows": len(check.applied),
         "valid_rows": int(np.count_nonzero(check.is_valid)),
         "error_percent_fs": dict(zip(components, 100.0 * check.error / full_scale, strict=True)),

@@ -172,6 +172,8 @@ def _check_text(check: CheckLoads, components: tuple[str, ...], scale: FullScale
     outside = rows - int(np.count_nonzero(check.is_valid))
     note = f"; {outside} of {rows} rows outside the calibrated loads are left out" if outside else ""
     yield f"  {check.label}: rms error in % of {scale.meaning}, and share of loads within their 95 % interval{note}"
+    if check.zeros is not None:
+        yield f"    {check.zeros}"
     for j, component in enumerate(components):
         error, share = 100.0 * check.error[j] / scale.values[j], 100.0 * check.interval_coverage[j]
         known = np.isfinite(error)

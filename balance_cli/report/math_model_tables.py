@@ -183,7 +183,7 @@ def _check_row(scale: FullScale, check: CheckLoads) -> Row:
     count, valid = len(check.is_valid), int(np.count_nonzero(check.is_valid))
     errors = zip(check.error / scale.values, check.interval_coverage, strict=True)
     return (
-        TableCell(check.label, mark="name"),
+        TableCell(check.label, check.zeros or "", mark="name"),
         *(_check_cell(float(error), float(share), valid) for error, share in errors),
         TableCell(str(count)),
         TableCell(str(count - valid), mark="bad" if valid < count else ""),
