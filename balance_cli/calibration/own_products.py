@@ -7,7 +7,7 @@ balances, faults of a single series are not; a larger deviation is taken for a f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +34,40 @@ def explaining_products(
 
     Each with its largest coefficient over the linear response of the channel, by the name of the term.
     """
+    return _explaining_terms(points, fit, rows, channels, _is_own)
+
+
+def one_sided_note(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask, channels: Iterable[str], series: str
+) -> str:
+    """That |F| or its like explain a suspect load series as well as a wrong gain, in words; empty where none does.
+
+    A load that one series alone applies to a side may have another gain there, which is a term, or the channel had.
+    """
+    sizes = _explaining_terms(points, fit, rows, channels, _is_one_sided)
+    if not sizes:
+        return ""
+    named = ", ".join(
+        f"{term} ({100.0 * sizes[term]:.2g} % of the linear response)" for term in list(sizes)[:MOST_NAMED]
+    )
+    return (
+        f"{series} was excluded, but {named} would explain it as well as a wrong gain: no other load series applies "
+        "that load to that side. If it is sound, apply the load to that side in a further series"
+    )
+
+
+def _explaining_terms(
+    points: CalibrationPoints,
+    fit: CalibrationModelFit,
+    rows: Mask,
+    channels: Iterable[str],
+    is_own: Callable[[CalibrationPoints, Mask, Term], bool],
+) -> dict[str, float]:
+    """The terms that `is_own` says only these rows (m,) tell, with their sizes, where they explain all the channels."""
     model, k = fit.model, len(points.components)
     sizes: dict[str, float] = {}
     terms = model.parsed_terms
-    own = [place for place, term in enumerate(terms) if not term.single_load and _is_own(points, rows, term)]
+    own = [place for place, term in enumerate(terms) if is_own(points, rows, term)]
     for name in channels:
         c = model.channel_names.index(name)
         largest = float(np.max(np.abs(model.coefficients[:k, c])))
@@ -53,9 +83,19 @@ def explaining_products(
 
 def _is_own(points: CalibrationPoints, rows: Mask, term: Term) -> bool:
     """Whether the two loads of a term were applied together in these rows (m,), and in no others that are used."""
+    if term.single_load:
+        return False
     applied = np.abs(points.x) > MIN_APPLIED_LOAD
     together = applied[:, term.i] & applied[:, term.j] & (points.weight > 0)
     return bool(np.any(together & rows) and not np.any(together & ~rows))
+
+
+def _is_one_sided(points: CalibrationPoints, rows: Mask, term: Term) -> bool:
+    """Whether the load of a nonlinear term was applied to one of its sides in these rows (m,) alone."""
+    if term.linear or not term.single_load:
+        return False
+    side = (points.x[:, [term.i]] * [1.0, -1.0] > MIN_APPLIED_LOAD) & (points.weight > 0)[:, None]
+    return bool(np.any(side[rows].any(axis=0) & ~side[~rows].any(axis=0)))
 
 
 def own_product_notes(points: CalibrationPoints, fit: CalibrationModelFit) -> Iterator[str]:

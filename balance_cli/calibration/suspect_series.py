@@ -15,7 +15,7 @@ from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, d
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import gain_scatter
 from balance_cli.calibration.math_model import student_widening
-from balance_cli.calibration.own_products import explaining_products
+from balance_cli.calibration.own_products import explaining_products, one_sided_note
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
 from balance_cli.calibration.series_causes import series_cause
@@ -141,7 +141,11 @@ def _worst_series(
     rivals = [LoadSeriesRows((load_series == name) & used, words[name]) for name in tied]
     if len(rivals) == 1 or not contradicts(points, rivals[0].rows):
         others = tuple(each.words for each in rivals[1:])
-        return _Exclusion(rivals[0].rows, [replace(suspect, alternatives=others) for suspect in candidates[worst]])
+        suspects = [replace(suspect, alternatives=others) for suspect in candidates[worst]]
+        channels = [suspect.channel for suspect in suspects]
+        return _Exclusion(
+            rivals[0].rows, suspects, one_sided_note(points, fit, rivals[0].rows, channels, rivals[0].words)
+        )
     wrong = decide_by_declared(points, rivals)
     if wrong is None:
         raise undecided_error(points, rivals)

@@ -102,6 +102,9 @@ def test_terms_of_one_channel_that_a_single_series_tells_are_no_fault_of_the_oth
     )
     found = screen_outliers(points)
     assert {each.load_series.split("(")[1].rstrip(")") for each in found.suspect_series} == named
+    # A gain of 3 % on one side is also |My|: which of them, the readings do not tell, and that is said.
+    said = [note for note in found.screening_notes if "would explain it as well" in note]
+    assert len(said) == len(named) and all("|My| (1.5 % of the linear response)" in note for note in said)
     assert "|Fx|" in found.fit.model.channel_coefficients("a")
 
 
