@@ -141,16 +141,15 @@ def _worst_series(
     rivals = [LoadSeriesRows((load_series == name) & used, words[name]) for name in tied]
     if len(rivals) == 1 or not contradicts(points, rivals[0].rows):
         others = tuple(each.words for each in rivals[1:])
-        suspects = [replace(suspect, alternatives=others) for suspect in candidates[worst]]
-        channels = [suspect.channel for suspect in suspects]
-        return _Exclusion(
-            rivals[0].rows, suspects, one_sided_note(points, fit, rivals[0].rows, channels, rivals[0].words)
-        )
+        channels = [replace(suspect, alternatives=others) for suspect in candidates[worst]]
+        names = [suspect.channel for suspect in channels]
+        note = one_sided_note(points, fit, rivals[0].rows, names, rivals[0].words)
+        return _Exclusion(rivals[0].rows, channels, note)
     wrong = decide_by_declared(points, rivals)
     if wrong is None:
         raise undecided_error(points, rivals)
-    names = " and ".join(each.words for each in rivals)
-    note = f"{names} contradict each other; the response of the declared geometry refutes {rivals[wrong].words}"
+    both = " and ".join(each.words for each in rivals)
+    note = f"{both} contradict each other; the response of the declared geometry refutes {rivals[wrong].words}"
     return _Exclusion(rivals[wrong].rows, candidates[tied[wrong]], note)
 
 
