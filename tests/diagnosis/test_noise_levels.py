@@ -31,7 +31,16 @@ def low_pass(x):
     return signal.sosfilt(signal.butter(4, 0.3, output="sos"), x, axis=0)
 
 
-@pytest.mark.parametrize(("change", "factor"), [(lambda x: x / 1000, 0.001), (lambda x: 3.0 * x, 3.0), (low_pass, 0.0)])
+@pytest.mark.parametrize(
+    ("change", "factor"),
+    [
+        (lambda x: x / 1000, 0.001),
+        (lambda x: 3.0 * x, 3.0),
+        (lambda x: 2.0 * x, 2.0),
+        (lambda x: 0.5 * x, 0.5),
+        (low_pass, 0.0),
+    ],
+)
 def test_a_factor_or_filter_of_all_channels_is_named(change, factor):
     (finding,) = findings(change)
     assert finding.severity == WARNING and finding.runs == ("wind-1",)
