@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.rotor.common_change import CommonChange, common_change
 from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, unsteady, windowed_amplitudes
 
 Array = NDArray[np.float64]
@@ -41,25 +42,35 @@ of windows, too, which average faster modes out."""
 LEAST_NOISE = 1e-6
 """Of the noise of the noisiest row: with less, as of a coarse converter that repeats itself in each revolution, normal
 equations would see no other row."""
+SAID_CHANGE = 0.01
+"""Factor less one, or turn [rad], from which a change of all harmonics is described by it."""
 START_UP_SHARE = 0.03
 """Departure of the rotor speed of a window from that of the interval by which a record begins with a start-up."""
 
 
-def unsteady_loads(
+@dataclass(frozen=True)
+class Steadiness:
+    """Which loads (n+1, m) of a record step or drift within it, and `note`, why where all do; empty without."""
+
+    unsteady: NDArray[np.bool_]
+    note: str = ""
+
+
+def examine_steadiness(
     record: RotorRecord, geometry: Geometry, source: ResponseSource, static: TrimCalibration | None, sigma: Array
-) -> NDArray[np.bool_]:
-    """Which loads (n+1, m) of a record step or drift within it, by more than chance and by more than is immaterial.
+) -> Steadiness:
+    """Return which loads (n+1, m) step or drift within a record, by more than chance and by more than is immaterial.
 
     `sigma` (n+1, m) are the standard deviations that are stated for the loads; without a static calibration harmonic 0
     is not examined. What was left out at the start as a transient is examined too, from where the rig alone is steady:
-    a step of the load looks like the end of a transient.
+    a step of the load looks like the end of a transient. A change that all harmonics have in common makes all unsteady.
     """
     n = len(record.spectra.frequency_hz) - 1
     revolutions = (_first_revolution(record, source), record.spectra.revolutions[1])
     windows = windowed_amplitudes(record.run, record.azimuth, record.health.live, n, revolutions)
     windows = _without_start_up(windows, float(record.spectra.frequency_hz[1]))
     if not len(windows.values):
-        return np.zeros(sigma.shape, bool)
+        return Steadiness(np.zeros(sigma.shape, bool))
     loads = np.zeros((len(windows.values), *sigma.shape), complex)
     loads[:, 1:] = _harmonic_loads(windows, record, geometry, source)
     if static is not None:
@@ -76,7 +87,23 @@ def unsteady_loads(
     found = unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
     limit = np.maximum(sigma, _material_change(np.abs(within.mean(axis=0))) / 3.0)
     found[1:] = unsteady(within, limit, correlation)[1:]
-    return found
+    change = common_change(within[:, 1:])
+    if change is None:
+        return Steadiness(found)
+    return Steadiness(np.ones_like(found), _explain(change, first + change.window * duration))
+
+
+def _explain(change: CommonChange, time: float) -> str:
+    """Say what all harmonics do from a time [s] on, and what may have made them."""
+    turn = np.degrees(change.turn)
+    parts = [
+        f"have {change.factor:.3g} times their size" if abs(change.factor - 1.0) > SAID_CHANGE else "",
+        f"turn by harmonic times {turn:+.2g} deg" if abs(change.turn) > SAID_CHANGE else "",
+    ]
+    reasons = "was a gain switched?" if parts[0] else ""
+    if parts[1]:
+        reasons = "did the azimuth slip, or were samples lost?"
+    return f"from {time:.3g} s on all harmonics {' and '.join(filter(None, parts))}: {reasons}"
 
 
 def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:

@@ -25,7 +25,7 @@ from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
-from balance_cli.reduction.steadiness import unsteady_loads
+from balance_cli.reduction.steadiness import examine_steadiness
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
 from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine, unmodelled_lines
@@ -58,7 +58,7 @@ class Trust:
 
     `reached` (n+1, m) are the loads that one of the `lines` reaches; `confounded` the harmonics beside which another
     rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
-    `regressed` is the highest harmonic of the regression.
+    `regressed` is the highest harmonic of the regression, `steadiness_note` says why all loads are unsteady.
     """
 
     untested: Mask
@@ -70,13 +70,15 @@ class Trust:
     confounded: frozenset[int] = frozenset()
     pairs: tuple[PairContradiction, ...] = ()
     regressed: int = 0
+    steadiness_note: str = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
         """The lines and the pairs of channels in words."""
         n = len(self.untested) - 1
         lines = (line.explain(n, self.regressed) + _remedy(line) for line in self.lines)
-        return (*lines, *(pair.description for pair in self.pairs))
+        pairs = (pair.description for pair in self.pairs)
+        return (*lines, *pairs, *filter(None, [self.steadiness_note]))
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -129,11 +131,12 @@ def assess_trust(
         )
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
         reached[1:] = _reached_loads(lines, record, regressed, solution, sigma[1:])
-    unsteady = unsteady_loads(record, geometry, source, static, sigma)
+    steadiness = examine_steadiness(record, geometry, source, static, sigma)
     pairs = contradicted_pairs(record, geometry, source, response)
     rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
-    return Trust(untested, unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed)
+    tests = steadiness.unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed
+    return Trust(untested, *tests, steadiness.note)
 
 
 def _reached_loads(

@@ -42,7 +42,8 @@ from balance_cli.reduction.response_sources import ResponseSource, no_state_spac
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import flag_filter
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
-from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.other_rotors import rotor_azimuth
 from balance_cli.steps.reduce import reduce_record
 
 Array = NDArray[np.float64]
@@ -178,7 +179,7 @@ def _set_up_run(run: Run, geometry: Geometry, source: ResponseSource, options: T
     if run.pulse_times is None or run.sample_rate is None:
         raise AssertionError("a record on azimuth has pulses")
     system = _measured_system(equations, geometry, data_quality, record, 1.0 / run.sample_rate)
-    azimuth, means = azimuth_from_pulses(run.pulse_times), np.zeros(len(data_quality.names))
+    azimuth, means = rotor_azimuth(run, 1), np.zeros(len(data_quality.names))
     return _with_noise_and_means(_RunSetup(run, data_quality, record, start, azimuth, system, means), geometry)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.identified_model import CONTRADICTS_OTHERS
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.history_file import harmonic_history
@@ -139,3 +140,26 @@ def test_a_history_is_the_sum_of_the_harmonics(check, reduced, campaign):
     error = (loads - true)[:, applied] - (loads - true)[:, applied].mean(axis=0)
     assert np.all(error.std(axis=0) < 0.03 * true[:, applied].std(axis=0) + 1e-9)
     assert np.all(sigma > 0)
+
+
+def with_samples(run, channels, loads):
+    return replace(run, samples=len(channels), source=MemorySource(channels, loads))
+
+
+def test_lost_samples_are_no_steady_loads(campaign, calibration, identified, check):
+    """From where three samples were lost, the pulses turn all loads: without a word before."""
+    block, lost = check.read(0), slice(3 * check.samples // 4, 3 * check.samples // 4 + 3)
+    run = with_samples(check, np.delete(block.channels, lost, axis=0), np.delete(block.loads, lost, axis=0))
+    loads = reduce_run(run, campaign.geometry, calibration, model_source(identified))
+    assert all("not steady" in flag for flags in loads.flags for flag in flags)
+    assert any("samples lost" in note for note in loads.notes)
+
+
+def test_pulses_after_the_end_of_the_record_are_left_out(campaign, calibration, identified, check):
+    """A pulse a few samples behind the record was an internal error."""
+    block = check.read(0)
+    last = int(check.pulse_times[-1] * check.sample_rate) - 3
+    run = with_samples(check, block.channels[:last], block.loads[:last])
+    loads = reduce_run(run, campaign.geometry, calibration, model_source(identified))
+    assert loads.interval[1] <= last / check.sample_rate
+    assert any("1 pulse after the end of the record" in note for note in loads.notes)

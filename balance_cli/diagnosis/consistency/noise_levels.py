@@ -25,8 +25,8 @@ from balance_cli.signals.nyquist_noise import (
 Array = NDArray[np.float64]
 
 SMALLEST_RATIO = 1.7
-"""Of all channels at once. The smallest usual step of an amplifier's range is 2; on clean campaigns of five rigs the noise
-of wind runs is 0.89 to 1.13 times the usual one."""
+"""Of all channels at once. The smallest usual step of an amplifier is 2; on clean campaigns of five rigs the noise of
+wind runs is 0.89 to 1.13 times the usual one."""
 SAME_RATIO = 1.3
 """Ratio of two ratios up to which they have one cause: noise repeats to some tenths."""
 

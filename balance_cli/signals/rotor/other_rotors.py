@@ -112,7 +112,10 @@ class LinesRemoved:
 
 
 def rotor_azimuth(run: Run, rotor: int) -> Azimuth:
-    """Return the azimuth of rotor 1, 2 and so on of a run. Raises UserError where its pulses are absent or unusable."""
+    """Return the azimuth of rotor 1, 2 and so on of a run. Raises UserError where its pulses are absent or unusable.
+
+    Pulses after the last sample are left out, and a note says so: of the revolutions up to them there are no samples.
+    """
     place = "rotor/pulse_times" if rotor == 1 else f"rotor{rotor}/pulse_times"
     pulses = rotor_pulses(run)
     times = pulses[rotor - 1] if rotor <= len(pulses) else None
@@ -120,10 +123,15 @@ def rotor_azimuth(run: Run, rotor: int) -> Azimuth:
     if times is None:
         remedy = "Reduce it with --frequencies or --band, or record the pulses"
         raise UserError("no 1/rev pulses", file, place, remedy)
+    assert run.sample_rate is not None
+    end = run.samples / run.sample_rate
     try:
-        return azimuth_from_pulses(times)
+        azimuth = azimuth_from_pulses(times[times <= end])
     except UserError as error:
         raise UserError(error.fault, error.file, place, error.remedy) from error
+    beyond = int(np.count_nonzero(times > end))
+    note = f"{beyond} pulse{'s'[: beyond > 1]} after the end of the record at {end:.6g} s left out: were samples lost?"
+    return replace(azimuth, notes=(*azimuth.notes, note)) if beyond else azimuth
 
 
 def rotor_pulses(run: Run) -> tuple[Array | None, ...]:

@@ -1,0 +1,119 @@
+"""Whether all harmonics of a record change at one moment by one factor and one turn of the azimuth.
+
+Gusts and a change of the operating point change each harmonic by itself, in size and phase. One real factor for all of
+them is a gain or a supply that was switched, or a rotor speed that the loads follow. A turn of harmonic n by n times an
+angle is an azimuth that has slipped, or samples that were lost: from there on the pulses belong to other samples. Both
+are seen long before any single harmonic changes by more than gusts may do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+LEAST_CHANGE = 0.05
+"""Change of an amplitude, relative to its size, that matters: as for a mean load."""
+FEWEST_WINDOWS = 4
+"""Windows before and after the moment, whose scatter says how well the change is known."""
+FEWEST_AMPLITUDES = 6
+"""Amplitudes that must tell the change: two loads with three harmonics each. Gusts do not move so many alike."""
+KNOWN_SHARE = 0.1
+"""Standard deviation of the change of an amplitude, over its size or the change of all, up to which it counts."""
+ALIKE_SHARE, ALIKE_DEPARTURE = 0.9, 0.25
+"""Share of these amplitudes that must have the change of all, and by how much of its size they may miss it: a load that
+itself changes a little meanwhile does not hide it."""
+TURNS = np.arange(360) * (2.0 * np.pi / 360.0)
+"""Turns of the azimuth that are tried first [rad]: between two the twentieth harmonic turns by 20 deg."""
+
+
+@dataclass(frozen=True)
+class CommonChange:
+    """Change of all harmonics from window `window` on: `factor`, and `turn` of the azimuth [rad] from -pi to pi.
+
+    `size` is the median change of an amplitude, relative to its size; `misfit` what it misses of the changes, over it.
+    """
+
+    factor: float
+    turn: float
+    window: int
+    size: float
+    misfit: float
+
+
+def common_change(values: ComplexArray) -> CommonChange | None:
+    """Return the change that all amplitudes (w, n, m) of harmonics 1 to n in w windows have in common, None without.
+
+    Of all moments at which they change alike it is that of the largest change that they share best.
+    """
+    splits = np.arange(FEWEST_WINDOWS, len(values) - FEWEST_WINDOWS + 1)
+    if not len(splits):
+        return None
+    flat = values.reshape(len(values), -1)
+    order = np.repeat(np.arange(1, values.shape[1] + 1), values.shape[2])
+    before, after, error = _split_means(flat, splits)
+    is_clear = error < KNOWN_SHARE * np.abs(before)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio, relative_error = after / before, error / np.abs(before)
+    clear = np.count_nonzero(is_clear, axis=1)
+    changed = np.count_nonzero(is_clear & (np.abs(ratio - 1.0) > LEAST_CHANGE), axis=1)
+    found = []
+    for i in np.flatnonzero((clear >= FEWEST_AMPLITUDES) & (2 * changed > clear)).tolist():  # none in most records
+        rows = is_clear[i]
+        change = _change_at(ratio[i, rows], relative_error[i, rows], order[rows], int(splits[i]))
+        found += [] if change is None else [change]
+
+    def shared_change(change: CommonChange) -> float:
+        return change.size * (1.0 - change.misfit / ALIKE_DEPARTURE) * float(np.sqrt(_balance(change.window, values)))
+
+    return max(found, key=shared_change, default=None)
+
+
+def _balance(window: int, values: ComplexArray) -> int:
+    """Return the product of the numbers of windows before and after one: a change among few is worse known."""
+    return window * (len(values) - window)
+
+
+def _split_means(values: ComplexArray, splits: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Return the means (s, r) of amplitudes (w, r) before and after each split, and the standard error of a real
+    component of their difference.
+    """
+    values = values - (middle := values.mean(axis=0))
+    total, squares = np.cumsum(values, axis=0), np.cumsum(np.abs(values) ** 2, axis=0)
+    counts = [splits[:, None], len(values) - splits[:, None]]
+    sums = [total[splits - 1], total[-1] - total[splits - 1]]
+    powers = [squares[splits - 1], squares[-1] - squares[splits - 1]]
+    means = [sum_ / count for sum_, count in zip(sums, counts, strict=True)]
+    variance = sum(
+        np.maximum(power / count - np.abs(mean) ** 2, 0.0) / (2.0 * (count - 1))
+        for power, mean, count in zip(powers, means, counts, strict=True)
+    )
+    return means[0] + middle, means[1] + middle, np.sqrt(variance)
+
+
+def _change_at(ratio: ComplexArray, relative_error: Array, order: NDArray[np.intp], k: int) -> CommonChange | None:
+    """Return the change at window k of clear amplitudes (r,), which change by these ratios; None without."""
+    is_known = relative_error < KNOWN_SHARE * np.median(np.abs(_expected(ratio, order)[2] - 1.0))
+    if np.count_nonzero(is_known) < FEWEST_AMPLITUDES:
+        return None
+    ratio, order = ratio[is_known], order[is_known]
+    factor, turn, expected = _expected(ratio, order)
+    size = float(np.median(np.abs(expected - 1.0)))
+    missed = np.abs(ratio - expected) / np.maximum(np.abs(expected - 1.0), size)
+    if size < LEAST_CHANGE or np.mean(missed < ALIKE_DEPARTURE) < ALIKE_SHARE:
+        return None
+    return CommonChange(factor, float(np.angle(np.exp(1j * turn))), k, size, float(np.median(missed)))
+
+
+def _expected(ratio: ComplexArray, order: NDArray[np.intp]) -> tuple[float, float, ComplexArray]:
+    """Return the factor and the turn [rad] that describe the ratios (r,) of amplitudes best, and their ratios."""
+    direction = ratio / np.maximum(np.abs(ratio), np.finfo(float).tiny)
+    turn = TURNS[int(np.argmax((np.exp(-1j * np.outer(TURNS, order)) @ direction).real))]
+    left = np.angle(direction * np.exp(-1j * order * turn))
+    turn += float(left @ order) / float(order @ order)
+    factor = float(np.median((ratio * np.exp(-1j * order * turn)).real))
+    return factor, turn, factor * np.exp(1j * order * turn)
