@@ -35,6 +35,8 @@ GROSS_FACTOR = 2.0
 """Factor that no effect of a rig has on what a load mainly reads: units, polarity, another balance."""
 MAIN_SHARE = 0.5
 """Share of the range of a channel under the calibrated loads from which an element is one of its main ones."""
+LEFT_SHARE = 0.1
+"""Of the weighted squared differences of a load: what a factor on it may leave of them, to explain them."""
 SAME_FACTOR = 0.1
 """Spread of the logarithm of factors that are one: tolerances of a rig and noise stay below it."""
 
@@ -81,6 +83,23 @@ class StaticComparison:
         """Where main elements differ by more than any effect explains."""
         within = (self.factor >= 1.0 / GROSS_FACTOR) & (self.factor <= GROSS_FACTOR)
         return self.apart & self.main & ~within
+
+    @property
+    def load_factors(self) -> Array:
+        """Readings per unit of each load (k,) over those of the response, 1 where that does not differ beyond chance.
+
+        A load that is small beside the others of its channels changes little of their range, and yet all of itself. The
+        errors of the elements may have one cause: that of the factor is taken as if they had.
+        """
+        weight = 1.0 / np.maximum(self.sigma, np.finfo(float).tiny)
+        C0, response, slack = self.C0 * weight, self.response * weight, self.slack * weight
+        size = np.maximum(np.sum(response**2, axis=0), np.finfo(float).tiny)
+        factor = np.sum(C0 * response, axis=0) / size
+        error = np.sum(np.abs(response), axis=0) / size
+        limit = np.maximum(LARGEST_SHARE, LARGEST_SIGMAS * error) + np.sum(np.abs(response) * slack, axis=0) / size
+        left = np.sum((C0 - factor * response) ** 2, axis=0)
+        explains = left < LEFT_SHARE * np.sum((C0 - response) ** 2, axis=0)
+        return np.where(explains & (np.abs(factor - 1.0) > limit), factor, 1.0)
 
 
 def static_findings(
@@ -158,8 +177,10 @@ def _finding(comparison: StaticComparison, is_nonlinear: bool) -> ConsistencyFin
     """Return the finding of a comparison, None where it is within its limits."""
     is_gross = bool(comparison.gross.any())
     apart = comparison.gross if is_gross else comparison.apart
-    if not apart.any() or (is_nonlinear and not is_gross):
+    if is_nonlinear and not is_gross:
         return None
+    if not apart.any():
+        return _load_finding(comparison)
     rows, columns = np.nonzero(apart)
     channels = tuple(comparison.channels[i] for i in dict.fromkeys(rows.tolist()))
     components = tuple(name for j, name in enumerate(comparison.trim.components) if j in columns)
@@ -172,6 +193,23 @@ def _finding(comparison: StaticComparison, is_nonlinear: bool) -> ConsistencyFin
         components=components,
         factor=_common_factor(comparison.factor[apart]),
         trims=(comparison.trim.trim,),
+    )
+
+
+def _load_finding(comparison: StaticComparison) -> ConsistencyFinding | None:
+    """Return which loads of a trim have another size than those of the response; None where none has."""
+    factors = comparison.load_factors
+    wrong = np.flatnonzero(factors != 1.0)
+    if not len(wrong):
+        return None
+    names = tuple(comparison.trim.components[j] for j in wrong)
+    shown = ", ".join(f"{name} {1.0 / factors[j]:.4g}" for name, j in zip(names, wrong, strict=True))
+    label = f"trim `{comparison.trim.trim}`: " if comparison.trim.trim else ""
+    text = f"{label}loads of the calibration over those of the response at rest: {shown} (another lever or weight?)"
+    factor = _common_factor(factors[wrong])
+    trims = (comparison.trim.trim,)
+    return ConsistencyFinding(
+        STATIC_RESPONSE, WARNING, text, comparison.trim.runs, components=names, factor=factor, trims=trims
     )
 
 
