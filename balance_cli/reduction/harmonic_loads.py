@@ -14,6 +14,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
+from balance_cli.reduction.determination import determines_all_loads, loads_without_response
 from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
 from balance_cli.reduction.response_sources import (
     ResponseSource,
@@ -55,8 +56,6 @@ SPEED_MEMORY = 3.0
 MOST_MODULATION_PASSES = 3
 """Passes in which what changes with the speed is taken out, with the harmonics of the pass before; those of the first
 contain what the modes leak. Where the harmonics change by less than the response, nothing would change in the next."""
-LARGEST_CONDITION = 1e8
-"""Condition above which a response is refused as singular: double precision then leaves eight digits of the loads."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +207,8 @@ def harmonic_loads(
     columns = [COMPONENTS.index(name) for name in record.components]
     response = harmonic_response(record, geometry, source) if response is None else response
     T = response[:, channel_combination.rows][:, :, columns]
-    _check_determined(T, record)
+    scale = load_scale(geometry.hub)[columns]
+    _check_determined(T, record, scale)
     live = spectra.columns(health.live)
     combination = channel_combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
     y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, live])
@@ -226,7 +226,6 @@ def harmonic_loads(
     def known_error(loads: Array) -> Array:
         return circular_real(_known_error(record, source, channel_combination.rows, as_components(loads)))
 
-    scale = np.tile(load_scale(geometry.hub)[columns], 2)
     sample = np.diag(_channel_noise(record, geometry)).astype(complex)
     weighting_covariance = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
     return solve_loads(
@@ -235,7 +234,7 @@ def harmonic_loads(
         circular_real(noise),
         spectra.dof[1:],
         response_covariance,
-        1.0 / scale,
+        np.tile(scale, 2),
         weighting_covariance,
         known_error if source.response_error is not None else None,
     )
@@ -278,13 +277,11 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
     )
 
 
-def _check_determined(T: ComplexArray, record: RotorRecord) -> None:
-    """Raise UserError unless the columns of T (n, rows, m) are linearly independent."""
-    norms = np.linalg.norm(T, axis=1, keepdims=True)
-    without_response = [name for name, norm in zip(record.components, norms[0, 0], strict=True) if norm == 0]
-    enough = not without_response and T.shape[1] >= T.shape[2]
-    if enough and bool(np.all(np.linalg.cond(T / norms) < LARGEST_CONDITION)):
+def _check_determined(T: ComplexArray, record: RotorRecord, scale: Array) -> None:
+    """Raise UserError unless T (n, rows, m) determines the loads, which `scale` (m,) makes comparable."""
+    if determines_all_loads(T, scale):
         return
+    without_response = [record.components[i] for i in np.flatnonzero(loads_without_response(T, scale))]
     left_out = "; ".join(f"{name}: {reason}" for name, reason in record.health.left_out.items()) or "none"
     unidentifiable = ", ".join(without_response) or ", ".join(record.components)
     raise UserError(

@@ -20,8 +20,9 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
+from balance_cli.reduction.determination import determines_all_loads
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
-from balance_cli.reduction.response_sources import ResponseSource, highest_frequency, usable_channels
+from balance_cli.reduction.response_sources import ResponseSource, highest_frequency, load_scale, usable_channels
 from balance_cli.reduction.spectra_result import RunSpectra
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
@@ -42,8 +43,6 @@ BELOW_NYQUIST = 0.9
 """Of half the sample rate: the highest frequency of a spectrum."""
 BANDWIDTH_BINS = 2.0
 """Noise bandwidth of the Blackman-Harris window in bins (Harris, Proc. IEEE 66, 1978, 51)."""
-LARGEST_CONDITION = 1e8
-"""Condition above which a response is refused as singular, as in the reduction by harmonics."""
 
 
 @dataclass(frozen=True)
@@ -189,8 +188,7 @@ def _invert(
     combination = chosen.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
     columns = [COMPONENTS.index(name) for name in components]
     T = source.at(frequency, run.rotor_speed)[:, chosen.rows][:, :, columns]
-    norms = np.linalg.norm(T, axis=1, keepdims=True)
-    if T.shape[1] < T.shape[2] or not np.all(norms > 0) or np.any(np.linalg.cond(T / norms) > LARGEST_CONDITION):
+    if not determines_all_loads(T, load_scale(geometry.hub)[columns]):
         left_out = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
         fault = f"the channels do not determine {', '.join(components)} (left out: {left_out})"
         raise UserError(fault, _place(run), "channels", "Repair the channels, or leave the run out with --skip-bad")

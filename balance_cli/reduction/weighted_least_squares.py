@@ -96,10 +96,11 @@ def solve_loads(
     """Solve h systems at once in real form (`response_sources.stacked_real`).
 
     T (h, a, b), y (h, a), noise (h, a, a) estimated with `dof` (h,) complex degrees of freedom; `response_covariance`
-    returns the covariance (h, a, a) of T f for loads (h, b); `scale` (b,) makes the columns comparable for the
-    condition. `weighting_covariance` (h, a, a) gives the weights, up to a factor, where the noise of the channels is
-    known by itself; by default the weights come from `noise`. `known_error` returns the covariance (h, a, a) of what
-    the response is known to miss of T f; it enters the errors of the loads, not the residual test, which is to find it.
+    returns the covariance (h, a, a) of T f for loads (h, b); `scale` (b,) times the loads makes these comparable, for
+    the condition. `weighting_covariance` (h, a, a) gives the weights, up to a factor, where the noise of the channels
+    is known by itself; by default the weights come from `noise`. `known_error` returns the covariance (h, a, a) of
+    what the response is known to miss of T f; it enters the errors of the loads, not the residual test, which is to
+    find it.
     """
     a, b = T.shape[1:]
     few = dof < DOF_PER_REDUNDANT_EQUATION * (a - b) / 2

@@ -140,3 +140,16 @@ def test_condition_counts_channels_in_units_of_their_noise():
         T[:, :, :2], np.ones((1, 3)), noise, np.array([np.inf]), lambda f: np.zeros((1, 3, 3)), np.ones(2)
     )
     assert found.condition[0] == pytest.approx(1.0)
+
+
+def test_condition_is_the_same_in_every_unit_of_the_moments():
+    rng = np.random.default_rng(3)
+    T, noise = rng.standard_normal((1, 4, 2)), np.eye(4)[None]
+
+    def condition(T, scale):
+        return solve_loads(
+            T, np.ones((1, 4)), noise, np.array([np.inf]), lambda f: np.zeros((1, 4, 4)), scale
+        ).condition
+
+    in_millimeters = np.array([1.0, 1e-3])
+    assert condition(T * in_millimeters, in_millimeters) == pytest.approx(condition(T, np.ones(2)))
