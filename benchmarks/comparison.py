@@ -25,7 +25,7 @@ class Comparison:
         return self.other_seconds / self.seconds
 
 
-def program_with_version(package: str, what: str = "") -> str:
+def program_with_version(package: str, what: str) -> str:
     """Return the name of an installed package with its version, and what of it is called."""
     try:
         return f"{package} {version(package)}{what and f', {what}'}"

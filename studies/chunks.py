@@ -12,7 +12,7 @@ from tqdm import tqdm
 CACHE = Path(__file__).parent / ".cache"
 
 
-def run_chunks(name: str, work: Callable[[int], pd.DataFrame], seeds: Sequence[int], jobs: int = 2) -> pd.DataFrame:
+def run_chunks(name: str, work: Callable[[int], pd.DataFrame], seeds: Sequence[int], jobs: int) -> pd.DataFrame:
     """Rows of `work(seed)` for all seeds, each kept as CSV under .cache/NAME until that folder is removed.
 
     RuntimeError in the end where any of them failed; the others are kept.

@@ -21,11 +21,11 @@ MARKERS = {"in_band": "o", "harmonics": "|"}
 LIMITS = (3e-4, 2e1)
 
 
-def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
+def filters_picture(table: pd.DataFrame) -> Figure:
     """Draw load and errors in a maneuver above, and errors of all methods in each case below."""
     figure = new_figure(11.0, 8.2)
     above = figure.add_gridspec(1, 2, left=0.06, right=0.985, top=0.965, bottom=0.72, wspace=0.12)
-    _draw_maneuver(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]), seed)
+    _draw_maneuver(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]))
     below = figure.add_gridspec(2, 4, left=0.165, right=0.985, top=0.63, bottom=0.04, hspace=0.24, wspace=0.09)
     for i, case in enumerate(dict.fromkeys(table["case"])):
         _draw_errors(figure.add_subplot(below[i // 4, i % 4]), table[table["case"] == case], case, labeled=i % 4 == 0)
@@ -33,9 +33,9 @@ def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
     return figure
 
 
-def _draw_maneuver(loads: Axes, errors: Axes, seed: int) -> None:
+def _draw_maneuver(loads: Axes, errors: Axes) -> None:
     """Draw the true Fx, that of three methods, and their errors."""
-    record = simulate_record(CASES[MANEUVER], seed)
+    record = simulate_record(CASES[MANEUVER], 0)
     for method, color in SHOWN_METHODS.items():
         reduced = reduce_by_method(record, method)
         part = slice(reduced.first, reduced.first + len(reduced.loads))

@@ -15,10 +15,10 @@ def filters_table(rows: pd.DataFrame) -> pd.DataFrame:
     return table.assign(coverage=grouped["coverage"].mean(), seeds=grouped["seed"].nunique()).reset_index()
 
 
-def page_table(table: pd.DataFrame, measure: str = "in_band") -> str:
+def page_table(table: pd.DataFrame) -> str:
     """Return median errors in percent as a Markdown table, one row per method and one column per case."""
     cases = list(dict.fromkeys(table["case"]))
-    values = table.set_index(["method", "case"])[f"{measure}_median"] * 100.0
+    values = table.set_index(["method", "case"])["in_band_median"] * 100.0
     lines = [f"| method | {' | '.join(cases)} |", f"|---|{'---|' * len(cases)}"]
     for method in dict.fromkeys(table["method"]):
         lines.append(f"| {method} | {' | '.join(_percent(values[method, case]) for case in cases)} |")

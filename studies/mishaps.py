@@ -42,8 +42,6 @@ Array = NDArray[np.float64]
 Change = Callable[[Run], Run]
 
 REVOLUTIONS, SWEEPS = 60, 40.0
-LEAST_COVERAGE = 0.9
-"""Share of the rows without a flag whose intervals must hold the load."""
 RATE = 800.0
 """[Hz] of the sampled runs."""
 
@@ -394,7 +392,7 @@ def _judge(day: TestDay, loads: dict[str, RunLoads]) -> dict[str, object]:
     }
 
 
-def mishap_table(names: Sequence[str] = tuple(MISHAPS), seed: int = 1) -> pd.DataFrame:
+def mishap_table(names: Sequence[str], seed: int) -> pd.DataFrame:
     """Return one row for each mishap."""
     day = test_day(seed)
     return pd.DataFrame([mishap_row(day, name) for name in names])

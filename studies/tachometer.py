@@ -41,9 +41,9 @@ def azimuth_errors(times: np.ndarray) -> np.ndarray:
     return (np.degrees(ROTOR.azimuth(times)) + 180.0) % 360.0 - 180.0
 
 
-def study_row(rate: float, name: str, seed: int = 0) -> str:
+def study_row(rate: float, name: str) -> str:
     """One row of the table."""
-    samples, low_pass = sampled_tachometer(rate, PULSES[name], NOISE, seed)
+    samples, low_pass = sampled_tachometer(rate, PULSES[name], NOISE, 0)
     found = read_rotor_reference(lambda a, b: samples[a:b], len(samples), rate, TachometerSettings(low_pass=low_pass))
     errors = azimuth_errors(found.pulse_times)
     above = samples > 0.5 * SWING

@@ -22,11 +22,11 @@ NOISE = 2e-4
 """[V] rms of a channel."""
 
 
-def write_wind_runs(folder: Path, geometry: Geometry, count: int, first: int = 0, duration: float = 30.0) -> list[Path]:
+def write_wind_runs(folder: Path, geometry: Geometry, count: int, duration: float = 30.0) -> list[Path]:
     """Write runs `wind-00000.h5` and so on; each has loads, a rotor speed, a date and an advance ratio of its own."""
     system = balance_model(geometry).system()
     paths = []
-    for index in range(first, first + count):
+    for index in range(count):
         rng = np.random.default_rng(index)
         speed = SPEED * (1.0 + 0.02 * rng.standard_normal())
         time = np.arange(int(duration * RATE)) / RATE

@@ -80,7 +80,7 @@ def emps_run(name: str, path: Path, time_factor: float = 1.0) -> Run:
     )
 
 
-def write_emps(train: Path, pulses: Path, folder: Path, time_factor: float = 1.0) -> None:
+def write_emps(train: Path, pulses: Path, folder: Path, time_factor: float) -> None:
     """Write the geometry and the run files into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     save_geometry(folder / "geometry.yaml", geometry_from_dict(geometry_content(time_factor)))

@@ -154,9 +154,7 @@ def _geometry_of(response: Response) -> Geometry:
     return response.geometry
 
 
-def response_source(
-    calibration: Calibration | None, response: Response, interpolation: str = "local"
-) -> ResponseSource:
+def response_source(calibration: Calibration | None, response: Response, interpolation: str) -> ResponseSource:
     """The response in the form that a reduction uses. UserError where its geometry is not that of the calibration."""
     if isinstance(response, str):
         if calibration is None:

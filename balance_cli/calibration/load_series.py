@@ -47,19 +47,19 @@ sign from one row to the next, as between two directions whose tare points stand
 """
 
 
-def find_load_series(x: Array, run: Index, position: str = TARE_LAST) -> Index:
+def find_load_series(x: Array, run: Index) -> Index:
     """Number (m,) of the load series of each row of loads x (m, n), in units of the calibrated range.
 
     A load series never extends over two runs (m,), or over two segments of constant attitude where `run` numbers those.
-    It ends where a load begins to change that was constant in it; `position` says to which series a tare point between
-    two of them belongs. Where all loads change at once from row to row, the run is one load series; so is every run
+    It ends where a load begins to change that was constant in it; a tare point between two of them belongs to the
+    earlier one. Where all loads change at once from row to row, the run is one load series; so is every run
     where shorter series would leave some loads undetermined.
     """
     load_series = np.zeros(len(x), dtype=np.intp)
     number = -1
     for name in dict.fromkeys(run.tolist()):
         rows = np.flatnonzero(run == name)
-        load_series[rows] = number + 1 + split_rows(x[rows], position)
+        load_series[rows] = number + 1 + split_rows(x[rows], TARE_LAST)
         number = int(load_series[rows[-1]])
     runs = np.unique(run, return_inverse=True)[1]
     return load_series if determines_loads(x, load_series, runs) else runs
@@ -70,7 +70,7 @@ def determines_loads(x: Array, load_series: Index, runs: Index) -> bool:
     return _load_separation(x, load_series) >= MIN_SEPARATION * _load_separation(x, runs)
 
 
-def split_rows(x: Array, position: str = TARE_LAST) -> Index:
+def split_rows(x: Array, position: str) -> Index:
     """Number (m,) from 0 of the load series of each row of one run, loads x (m, n)."""
     if position == EACH_CLOSING:
         backwards = split_rows(x[::-1], EACH_RETURN)

@@ -38,11 +38,6 @@ class CalibrationNoise:
     reading_covariance: Array = field(metadata={"stored_as": "readings"})
     load_sigma: Array = field(metadata={"stored_as": "loads"})
 
-    def row_sigma(self, x: Array, C: Array) -> Array:
-        """Sigma (m, c) [V] of the residuals at loads x (m, k) in units of the calibrated range; C (c, k) [V]."""
-        applied = np.abs(x) > APPLIED_SHARE
-        return np.asarray(np.sqrt(np.diag(self.reading_covariance) + (applied * self.load_sigma**2) @ (C**2).T))
-
 
 def estimate_calibration_noise(residuals: Array, x: Array, C: Array, covariance: Array) -> CalibrationNoise:
     """Estimate both kinds of noise from residuals (m, c) [V] at loads x (m, k) in units of the calibrated range.

@@ -114,10 +114,6 @@ class TrimCalibration:
         loads[..., [COMPONENTS.index(name) for name in self.components]] = carried
         return loads
 
-    def loads_covariance(self, channel_covariance: ArrayLike) -> Array:
-        """Covariance (k, k) of the loads for readings with this covariance (c, c): T0 S T0'."""
-        return np.asarray(self.T0 @ np.asarray(channel_covariance, float) @ self.T0.T)
-
 
 @dataclass(frozen=True, repr=False)
 class Calibration(ResultView):

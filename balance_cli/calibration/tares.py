@@ -23,7 +23,7 @@ from scipy import linalg
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
 from balance_cli.calibration.outliers import ScreenedFit, screen_outliers
-from balance_cli.calibration.term_choice import SEARCHED, TermChoice
+from balance_cli.calibration.term_choice import TermChoice
 from balance_cli.campaign.rig.attitude import ATTITUDE_TOLERANCE
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals import distributions as stats
@@ -116,7 +116,7 @@ def weight_loads(gravity: Array, components: tuple[str, ...] = COMPONENTS) -> Ar
 
 
 def screen_outliers_with_tares(
-    points: CalibrationPoints, choice: TermChoice = SEARCHED
+    points: CalibrationPoints, choice: TermChoice
 ) -> tuple[CalibrationPoints, ScreenedFit, Tares | None]:
     """Screen outliers with the weight of the metric part added to the applied loads.
 

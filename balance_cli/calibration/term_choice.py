@@ -116,7 +116,7 @@ def _plain(text: str) -> str:
     return "".join(letter for letter in text if not letter.isspace() and letter not in "*·")
 
 
-def choice_of_words(terms: str | Sequence[str], significance: float = TERM_SIGNIFICANCE_LEVEL) -> TermChoice:
+def choice_of_words(terms: str | Sequence[str], significance: float) -> TermChoice:
     """The choice `search`, `linear` or `quadratic`, or that of listed terms, as a sequence or separated by commas."""
     if isinstance(terms, str) and terms in (SEARCH, LINEAR, QUADRATIC):
         return TermChoice(terms, significance)

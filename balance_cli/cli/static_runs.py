@@ -62,7 +62,7 @@ optional_geometry_option: Callable[[F], F] = click.option(
 
 
 def rig_of_inputs(
-    session: Session, geometry: Path | None, paths: Iterable[Path], reading: TableReading, matrix: Path | None = None
+    session: Session, geometry: Path | None, paths: Iterable[Path], reading: TableReading, matrix: Path | None
 ) -> Geometry:
     """The geometry that is given, with units that the files state and it does not; without one that of the first table.
 

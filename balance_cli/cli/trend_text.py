@@ -68,7 +68,7 @@ class TrendResult:
 
 
 def find_trends(
-    points: Sequence[TrendPoint], attribute: str, run_modes: Mapping[str, OperationalModes] | None = None
+    points: Sequence[TrendPoint], attribute: str, run_modes: Mapping[str, OperationalModes] | None
 ) -> TrendResult:
     """Return all trends. Raises UserError for an attribute that no run has, and for too few or mixed runs.
 

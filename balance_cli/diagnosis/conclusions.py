@@ -38,7 +38,7 @@ def decide_verdict(
     update: UpdateResult,
     updated: IdentifiedModel,
     settings: SearchSettings,
-    left_out: LeftOut | None = None,
+    left_out: LeftOut | None,
 ) -> str:
     """Return the verdict, as docs/json.md defines it.
 

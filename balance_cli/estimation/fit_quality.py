@@ -41,7 +41,7 @@ def frf_band_of_lines(frequency: Array, geometry: Geometry) -> tuple[float, floa
 
 
 def fit_quality(
-    batches: Sequence[Batch], system: System, effective_parameters: float, band: tuple[float, float] = FRF_BAND
+    batches: Sequence[Batch], system: System, effective_parameters: float, band: tuple[float, float]
 ) -> FitQuality:
     """Quality of the whole fit and of every run; relative errors of the responses are those of the `band` [Hz].
 

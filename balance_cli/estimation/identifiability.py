@@ -56,24 +56,18 @@ def covariance_from_information(information: Array) -> Array:
     return covariance
 
 
-def unidentifiable_directions(parameters: ParameterSet, information: Array, limit: float = 1.0) -> tuple[str, ...]:
+def unidentifiable_directions(parameters: ParameterSet, information: Array) -> tuple[str, ...]:
     """Directions in which the data have less information than the priors, as text: `+0.3 mass +0.3 stiffness.x ...`.
 
     The directions are relative changes of the parameters (relative to the prior sigma where that exceeds the value). An
-    eigenvalue of the information in units of the priors below `limit` means that the prior dominates.
+    eigenvalue of the information in units of the priors below 1 means that the prior dominates.
     """
     free = parameters.free
     sigma = np.where(np.isfinite(parameters.sigma[free]), parameters.sigma[free], parameters.scale[free])
     values, vectors = np.linalg.eigh(information * np.outer(sigma, sigma))
     names = [name for name, is_free in zip(parameters.names, free, strict=True) if is_free]
     size = np.maximum(np.abs(parameters.value[free]), sigma)
-    return tuple(_format_direction(names, vectors[:, i] * sigma / size) for i in np.flatnonzero(values < limit))
-
-
-def unidentifiable_parameters(parameters: ParameterSet, information: Array) -> tuple[str, ...]:
-    """Free parameters without any information at these values, such as an offset where no line is a mean."""
-    names = [name for name, is_free in zip(parameters.names, parameters.free, strict=True) if is_free]
-    return tuple(name for name, value in zip(names, np.diag(information), strict=True) if value == 0.0)
+    return tuple(_format_direction(names, vectors[:, i] * sigma / size) for i in np.flatnonzero(values < 1.0))
 
 
 def _format_direction(names: list[str], change: Array) -> str:

@@ -28,7 +28,7 @@ TABLES = ("csv", "parquet")
 """Formats that may be long or wide."""
 
 
-def export_bytes(artefact: Artefact, format: str, wide: bool = False) -> bytes:
+def export_bytes(artefact: Artefact, format: str, wide: bool) -> bytes:
     """Return an artefact in one of FORMATS. UserError where the format cannot hold it."""
     if wide and format not in TABLES:
         raise UserError(f"a table in the format {format} is not wide", "--wide", remedy="Write .csv or .parquet")

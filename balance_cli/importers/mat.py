@@ -15,7 +15,6 @@ from balance_cli.importers.matrices import matrix_group, scalar_of
 from balance_cli.io.errors import UserError
 
 NAME = "MAT"
-VERSION_5 = b"MATLAB 5.0 MAT-file"
 DEEPEST = 8
 """Levels of nested structures and cell arrays."""
 MOST_ELEMENTS = 1000

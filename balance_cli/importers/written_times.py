@@ -32,7 +32,7 @@ class WrittenTimes:
     start: float
 
 
-def read_written_times(read: ReadBlock, samples: int, rate: float, factor: float = 1.0) -> WrittenTimes | None:
+def read_written_times(read: ReadBlock, samples: int, rate: float, factor: float) -> WrittenTimes | None:
     """The roundest rate near `rate` [Hz] with which all times agree; None where they have more digits, or with none.
 
     `factor` makes seconds of the times in column 0.

@@ -31,7 +31,6 @@ from balance_cli.model.realization import (
 )
 from balance_cli.model.relaxation import relaxation_chain
 from balance_cli.model.system import System
-from balance_cli.model.system_response import response, solve
 from balance_cli.signals.anti_alias import butterworth_poles
 
 Array = NDArray[np.float64]
@@ -93,26 +92,6 @@ def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
     filters = parallel([_butterworth_filter(acquisition.filter)] * space.B.shape[1])
     whole = series(filters, Realization(space.A, space.B, space.C, space.D))
     return replace(space, A=whole.A, B=whole.B, C=whole.C, D=whole.D)
-
-
-def realization_error(space: StateSpace, system: System, frequency: ArrayLike, spin: float = 0.0) -> float:
-    """Rms of the difference of the two responses over the rms of the system's own, at `frequency` (k,) [Hz].
-
-    The responses of each load, then of each channel, are scaled to an rms of one, so that all have equal weight. The
-    error is rounding except for springs with loss. Their law is followed from 0.5 to 1000 Hz, always with its
-    stiffening (`causality` 1). At rest such a spring has relaxed, which the response of the system does not include.
-    """
-    exact = response(system, solve(system, np.atleast_1d(np.asarray(frequency, float)), spin))
-    load = _rms(exact, (0, 1))
-    channel = _rms(exact / load, (0, 2))
-    weight = load * channel
-    return float(np.linalg.norm((space.response(frequency) - exact) / weight) / np.linalg.norm(exact / weight))
-
-
-def _rms(values: ComplexArray, axes: tuple[int, ...]) -> Array:
-    """Root mean square over the axes; one where it vanishes."""
-    rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=axes, keepdims=True))
-    return np.where(rms > 0, rms, 1.0)
 
 
 # ---- mechanics -------------------------------------------------------------------------------------------------------

@@ -120,7 +120,7 @@ def log_frequency_ratio(frequency: Array) -> Array:
     return np.where(moving, np.log(np.where(moving, frequency, 1.0) / REFERENCE_FREQUENCY), 0.0)
 
 
-def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> ComplexArray:
+def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float) -> ComplexArray:
     """A (k, n, n) at `frequency` (k,) [Hz] and rotor speed `spin` [Hz]."""
     w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value

@@ -83,7 +83,7 @@ def hub_motion(system: System, solution: Solution) -> ComplexArray:
 
 
 def spring_forces(
-    system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
+    system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None
 ) -> ComplexArray:
     """Forces (K, e) of the springs for loads (K, 6) and extra forces along them, at lines `index` (K,)."""
     forces = np.asarray(np.matmul(solution.forces[index], loads[:, :, None])[:, :, 0])

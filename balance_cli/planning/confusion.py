@@ -61,7 +61,7 @@ def confused_pairs(
     total: RunInformation,
     model: ExtendedModel,
     proposals: Sequence[RunInformation],
-    further: Sequence[RunInformation] = (),
+    further: Sequence[RunInformation],
 ) -> tuple[ConfusedPair, ...]:
     """The pairs of effects that are alike after the runs of `total`, the most alike first.
 

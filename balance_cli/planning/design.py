@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.deadline import NO_DEADLINE, Deadline
+from balance_cli.estimation.deadline import Deadline
 from balance_cli.planning.candidate_runs import CandidateRun
 from balance_cli.planning.choices import Aim
 from balance_cli.planning.detectability import InformationRows, information_rows, project_rows
@@ -108,7 +108,7 @@ def effect_worth(diagonal: Array, model: ExtendedModel) -> float:
     return float(np.mean([value[names == name].mean() for name in dict.fromkeys(names)]))
 
 
-def choose_runs(problem: Problem, minutes: float, deadline: Deadline = NO_DEADLINE) -> Design:
+def choose_runs(problem: Problem, minutes: float, deadline: Deadline) -> Design:
     """The runs that teach most in so many minutes; none where none fits. After the deadline none is exchanged."""
     chosen = _add_greedily(problem, minutes)
     for _ in range(MOST_PASSES):
@@ -162,7 +162,7 @@ def _order_by_setup(problem: Problem, chosen: Sequence[int]) -> list[int]:
     return sorted(chosen, key=lambda i: (setups.index(problem.candidates[i].setup), i))
 
 
-def rank_runs(problem: Problem, chosen: Sequence[int] = (), deadline: Deadline = NO_DEADLINE) -> tuple[RankedRun, ...]:
+def rank_runs(problem: Problem, chosen: Sequence[int], deadline: Deadline) -> tuple[RankedRun, ...]:
     """Every candidate by itself after what is known before, those that teach most per minute first.
 
     After the deadline only the chosen ones.

@@ -14,7 +14,6 @@ parameter alone the smallest size is sqrt(lambda / V_ii), lambda being the nonce
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,13 +188,6 @@ def required_noncentrality(parameters: int, count: int, detection: DetectionLeve
     return float(special.chndtrinc(threshold, parameters, 1.0 - detection.power))
 
 
-def detection_probability(noncentrality: float, parameters: int, threshold: float, noise_dof: float = np.inf) -> float:
-    """Probability that a gain with this noncentrality exceeds the threshold."""
-    if noise_dof < KNOWN_NOISE_DOF:
-        return float(1.0 - special.ncfdtr(parameters, noise_dof, noncentrality, threshold / parameters))
-    return float(1.0 - special.chndtr(threshold, parameters, noncentrality))
-
-
 def informed_directions(V: Array) -> int:
     """Number of directions (as the score test counts them) that the information V (q, q) of a candidate has."""
     informed = np.flatnonzero(np.diag(V) > 0)
@@ -242,11 +234,3 @@ def departure(item: EffectParameter, size: float) -> float:
         return 0.0 if item.reciprocal else float("inf")
     value = item.physical_value(item.fitted_null + size)
     return value if item.reciprocal else value - item.null
-
-
-def sizes_by_effect(sizes: Sequence[SmallestSize]) -> dict[str, list[SmallestSize]]:
-    """The sizes of each effect, by its name."""
-    by_name: dict[str, list[SmallestSize]] = {}
-    for item in sizes:
-        by_name.setdefault(item.effect, []).append(item)
-    return by_name

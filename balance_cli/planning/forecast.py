@@ -79,7 +79,7 @@ def detectable_effects(
     stages: Sequence[Stage],
     model: ExtendedModel,
     forecast: LoadForecast | None,
-    further: Sequence[RunInformation] = (),
+    further: Sequence[RunInformation],
 ) -> tuple[DetectableEffect, ...]:
     """Each effect at the place and parameter where it is hardest to find, before and after each run.
 

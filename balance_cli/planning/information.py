@@ -79,7 +79,7 @@ def _run_name(batch: Batch) -> str:
 
 
 def planned_information(
-    plan: AnyPlan, store: SignalStore, noise: ChannelNoise, model: ExtendedModel, random_seeds: Iterable[int] = (0,)
+    plan: AnyPlan, store: SignalStore, noise: ChannelNoise, model: ExtendedModel, random_seeds: Iterable[int]
 ) -> RunInformation:
     """The information that a planned run is expected to give, in the mean of a rehearsal with each seed.
 
@@ -98,11 +98,11 @@ def mean_information(parts: Sequence[RunInformation], name: str) -> RunInformati
     return RunInformation(name, information, sum(part.noise_dof for part in parts) / len(parts))
 
 
-def add_information(parts: Iterable[RunInformation], model: ExtendedModel, name: str = "") -> RunInformation:
+def add_information(parts: Iterable[RunInformation], model: ExtendedModel) -> RunInformation:
     """The information of several independent runs together."""
     total = np.zeros((model.size, model.size))
     runs: list[RunInformation] = []
     for part in parts:
         total = total + part.information
         runs += part.single_runs
-    return RunInformation(name, total, sum(run.noise_dof for run in runs), tuple(runs))
+    return RunInformation("", total, sum(run.noise_dof for run in runs), tuple(runs))

@@ -98,7 +98,7 @@ def _room_of_cells(
     return np.asarray(room)
 
 
-def multisine_crest_factor(hall: Hall, settings: RecordSettings, power: Power | None = None) -> float:
+def multisine_crest_factor(hall: Hall, settings: RecordSettings, power: Power | None) -> float:
     """The largest peak over rms of any excitation of a component that the hall can choose.
 
     That of a multisine with fixed phases is computed, for each band; with `power` it has one component to itself.

@@ -61,9 +61,7 @@ def _sweep_settings(plan: SweepPlan) -> Iterator[str]:
         label = f"level of {name}" if plan.point is None else "level of the force"
         yield f"| {label} | {level:.4g} {UNIT_OF[name]} rms |"
     if plan.point is not None:
-        position, direction = (
-            ", ".join(f"{x:g}" for x in each) for each in (plan.point.position, plan.point.direction)
-        )
+        position, direction = (_vector(each) for each in (plan.point.position, plan.point.direction))
         yield f"| point {plan.point.name} | at {position} m, direction {direction} |"
     if plan.contact is not None:
         yield f"| hits | {plan.periods}, of {1e3 * plan.contact:.3g} ms, one in {plan.period:.4g} s |"

@@ -41,7 +41,7 @@ from balance_cli.signals.rotor.harmonics import (
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines, tones_beside
 from balance_cli.signals.rotor.other_rotors import ConfoundedLine, other_azimuths, rotor_azimuth, without_other_rotors
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
-from balance_cli.signals.transient_end import transient_end
+from balance_cli.signals.transient_end import find_transient_end
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -164,7 +164,7 @@ def _without_speed_modulation(
 def _steady_revolution(run: Run, azimuth: Azimuth, source: ResponseSource, health: ChannelHealth) -> int:
     """Return the revolution at which the start transient has ended."""
     limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
-    return transient_end(run, azimuth, limit, health.live).first_revolution
+    return find_transient_end(run, azimuth, limit, health.live)
 
 
 def tone_record(

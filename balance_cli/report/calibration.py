@@ -151,7 +151,7 @@ def _hysteresis_cell(width: float, sigma: float, full_range: float) -> TableCell
     )
 
 
-def matrix_table(trim: TrimCalibration, scale: ReadingScale = MICROVOLTS) -> Table:
+def matrix_table(trim: TrimCalibration, scale: ReadingScale) -> Table:
     """C0 of a trim with standard errors."""
     caption = f"C0 of trim {trim.trim} [{scale.symbol}/N, {scale.symbol}/(N m)] with standard errors."
     scaled = (scale.per_base_unit * trim.C0, scale.per_base_unit * trim.C0_sigma)

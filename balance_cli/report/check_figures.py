@@ -28,7 +28,7 @@ class MethodBars:
     errors: Mapping[str, Mapping[str, RelativeError]]
 
 
-def comparison_figure(methods: Sequence[Source[HubLoads]], width: float = 12.0, height: float = 3.6) -> Figure:
+def comparison_figure(methods: Sequence[Source[HubLoads]]) -> Figure:
     """Bars of every method by component: error on the left, interaction on the right; black marks: noise floor."""
     bars = [
         MethodBars(
@@ -36,12 +36,12 @@ def comparison_figure(methods: Sequence[Source[HubLoads]], width: float = 12.0, 
         )
         for source in methods
     ]
-    return error_figure(bars, " on the check runs", width, height)
+    return error_figure(bars, " on the check runs", height=3.6)
 
 
-def error_figure(methods: Sequence[MethodBars], where: str, width: float = 12.0, height: float = 3.6) -> Figure:
+def error_figure(methods: Sequence[MethodBars], where: str, height: float) -> Figure:
     """Bars by component, one panel per kind of error; `where` ends the titles of the panels."""
-    figure = new_figure(width, height)
+    figure = new_figure(12.0, height)
     shown = [kind for kind in ERROR_KINDS if any(method.errors[kind] for method in methods)]
     axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
     limits = _bar_limits([error for kind in shown for method in methods for error in method.errors[kind].values()])

@@ -35,7 +35,6 @@ RULED_OUT_BY = {
     "mains": "no mains interference",
 }
 """What equal data say, by the name of the test."""
-TAKEN = ("accepted", "kept")
 
 
 def accepted_sentences(made: Diagnosis) -> Iterator[str]:

@@ -19,7 +19,7 @@ from balance_cli.report.inline_svg import inline_svg
 
 # Colors of Okabe and Ito (Color Universal Design, 2008); EXTRA_COLORS are from Tol's muted scheme.
 BLACK, GRAY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#009e73"
-YELLOW, BLUE, VERMILION, PURPLE = "#d6c61a", "#0072b2", "#d55e00", "#cc79a7"
+BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
 EXTRA_COLORS = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
 SCREEN_PIXELS = 130
 """Resolution of rasterized curves [1/inch]: between one and two times that of a screen."""
@@ -131,7 +131,7 @@ def set_log_axis(axes: Axes, limits: tuple[float, float]) -> None:
 
 
 def log_limits(
-    values: Sequence[float] | np.ndarray[Any, Any], min_decades: float, margin: float = 1.15
+    values: Sequence[float] | np.ndarray[Any, Any], min_decades: float, margin: float
 ) -> tuple[float, float]:
     """Limits of a logarithmic axis around the positive values, at least `min_decades` wide."""
     finite = np.asarray(values, float)

@@ -150,7 +150,7 @@ def unsupported_terms_table(all_trims: AllTrimsCalibration) -> Table:
 # ---- natural zeros ---------------------------------------------------------------------------------------------------
 
 
-def tare_table(channels: tuple[str, ...], tares: Tares, scale: ReadingScale = MICROVOLTS) -> Table:
+def tare_table(channels: tuple[str, ...], tares: Tares, scale: ReadingScale) -> Table:
     """Natural zeros: readings of the channels without any load."""
     caption = "Natural zeros: reading of each channel without any load, not even the weight of the metric part."
     count = scale.per_base_unit

@@ -27,14 +27,14 @@ def format_significant(value: float, digits: int = 3) -> str:
     return f"{rounded:.{digits - 1}e}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e").replace("-", MINUS)
 
 
-def format_percent(ratio: float, digits: int = 2) -> str:
+def format_percent(ratio: float) -> str:
     """A ratio in percent, without the percent sign; `<0.001` below a thousandth of a percent."""
     if not math.isfinite(ratio):
         return MISSING_VALUE
     value = 100.0 * ratio
     if 0 < abs(value) < 1e-3:
         return "<0.001"
-    return format_significant(value, 3 if abs(value) >= 100 else digits)
+    return format_significant(value, 3 if abs(value) >= 100 else 2)
 
 
 def value_and_sigma_text(value: float, sigma: float) -> tuple[str, str]:

@@ -99,16 +99,16 @@ def _legend(entries: Sequence[tuple[str, str]]) -> tuple[str, int]:
     return "".join(parts), line + 1
 
 
-def shorten_names(names: Sequence[str], most: int = MOST_LETTERS) -> list[str]:
+def shorten_names(names: Sequence[str]) -> list[str]:
     """Return the names whole, or of long ones the part after what all begin with, and of that the ends."""
     # Between the first and the last in the order of letters lie all others: what these two share, all do.
     pairs = zip(min(names, default=""), max(names, default=""), strict=False)
     shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs)) if len(names) > 1 else 0
     shortened = []
     for name in names:
-        rest = name if len(name) <= most else "\N{HORIZONTAL ELLIPSIS}" + name[shared:]
-        if len(rest) > most:
-            head = (most - 1) // 2
-            rest = f"{rest[:head]}\N{HORIZONTAL ELLIPSIS}{rest[head + 1 - most :]}"
+        rest = name if len(name) <= MOST_LETTERS else "\N{HORIZONTAL ELLIPSIS}" + name[shared:]
+        if len(rest) > MOST_LETTERS:
+            head = (MOST_LETTERS - 1) // 2
+            rest = f"{rest[:head]}\N{HORIZONTAL ELLIPSIS}{rest[head + 1 - MOST_LETTERS :]}"
         shortened.append(rest)
     return shortened

@@ -42,9 +42,9 @@ def plot_svg(plot: Plot, width: float = WIDTH, height: float = HEIGHT) -> str:
     )
 
 
-def plots_svg(plots: Sequence[Plot], columns: int = 2) -> str:
-    """Return several plots as one SVG file on a white ground."""
-    columns = min(columns, len(plots))
+def plots_svg(plots: Sequence[Plot]) -> str:
+    """Return several plots, two in a row, as one SVG file on a white ground."""
+    columns = min(2, len(plots))
     rows = -(-len(plots) // columns)
     parts = [
         f'<svg x="{i % columns * WIDTH:g}" y="{i // columns * HEIGHT:g}" width="{WIDTH:g}" height="{HEIGHT:g}" '

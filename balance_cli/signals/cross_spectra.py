@@ -74,21 +74,11 @@ def cross_spectra(
     return CrossSpectra(frequency[bins], density, np.maximum(INDEPENDENT_PER_WINDOW * count[bins], 1.0))
 
 
-def noise_variance(spectra: CrossSpectra, step: float, load_free: NDArray[np.bool_]) -> Array:
-    """Return the variance (c,) [V2] of one sample of each channel's white noise, from the `load_free` bins (k,).
-
-    It is the median of the bins, so that a tone among them has no effect.
-    """
-    power = np.einsum("kcc->kc", spectra.density[load_free]).real
-    averages = float(np.median(spectra.averages[load_free]))
-    return np.asarray(np.median(power, axis=0) / (step * _median_of_mean(averages)))
-
-
 def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, length: int) -> Array:
     """Return the variance (c,) [V2] of one sample of white noise, from the bins above `lowest` [Hz].
 
-    As `noise_variance` of `cross_spectra` over the parts (c, n), but without the products of different channels. Raises
-    UserError where no part is as long as a window, or no bin is above.
+    It is the median of the bins of the power spectra over the parts (c, n), so that a tone among them has no effect.
+    Raises UserError where no part is as long as a window, or no bin is above.
     """
     window = blackman_harris(length)
     frequency = np.fft.rfftfreq(length, step)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,25 +40,11 @@ MIN_RELATIVE_NOISE = 1e-5
 """Least noise relative to the signal, for computed records without noise."""
 
 
-@dataclass(frozen=True)
-class TransientEnd:
-    """The first steady revolution and its time [s].
-
-    `within_limit` is False where the transient lasts beyond the limit; `last_channel` is the channel that becomes
-    steady last, "" where the record is steady from its start.
-    """
-
-    first_revolution: int
-    time: float
-    within_limit: bool
-    last_channel: str
-
-
-def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str] | None = None) -> TransientEnd:
-    """Return the first revolution of the run without start transient.
+def find_transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str]) -> int:
+    """Return the first revolution of the run without start transient; 0 where the record is too short to tell.
 
     The search ends at `limit` [s from the first sample], because the caller knows the slowest decay, and before the
-    last quarter of the record. `names` are the channels to test, by default all; their samples must be finite.
+    last quarter of the record. `names` are the channels to test; their samples must be finite.
 
     Each revolution is compared with the third and the fourth after it, at the same azimuth. The difference cancels
     signals that repeat in every revolution, and nearly cancels slow changes; decaying signals and those that are not
@@ -67,10 +52,10 @@ def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str]
     record. The first revolution at which no channel exceeds that is steady. A later step or maneuver is not tested; at
     worst it increases the size late in the record.
     """
-    names = tuple(run.channel_names if names is None else names)
+    names = tuple(names)
     last = int(min(float(np.searchsorted(_revolution_starts(azimuth), limit)), (1 - LATE_SHARE) * azimuth.turns))
     if last < 1 or azimuth.turns - last <= 2 * MAX_LAG:
-        return TransientEnd(0, azimuth.first, True, "")
+        return 0
     points = _points_per_revolution(run, azimuth)
     span = (max(last, azimuth.turns - LATE_REVOLUTIONS), azimuth.turns)
     resampled = _resample_revolutions(run, azimuth, names, span, points)
@@ -78,12 +63,7 @@ def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str]
     margin = 1.0 + SIGNIFICANT_SIGMAS * float(np.sqrt(2.0 / (SMOOTHING_REVOLUTIONS * points)))
     largest: Array = margin * _steady_energy(later, resampled[0])
     steady = _first_steady(largest, run, azimuth, names, last, points)
-    first = last if steady is None else steady
-    worst = ""
-    if first:
-        (energy,) = _average_differences(run, azimuth, names, (first - 1, first), points)
-        worst = names[int(np.argmax(energy / largest))]
-    return TransientEnd(first, float(azimuth.time_of(np.array(first))), steady is not None, worst)
+    return last if steady is None else steady
 
 
 def _first_steady(

@@ -106,7 +106,7 @@ def _simulate_sampled(
 
 
 def iterate_simulated_runs(
-    rig: TrueRig, plan: CampaignPlan, noise: Noise | None = None, seed: int = 0
+    rig: TrueRig, plan: CampaignPlan, noise: Noise | None, seed: int = 0
 ) -> Iterator[tuple[Run, RunTruth]]:
     """All runs of a plan with their truths as in `simulate_campaign`, one by one, but not in the order of the plan."""
     acquisition = RecordingSetup(Noise() if noise is None else noise, seed)

@@ -139,7 +139,7 @@ class ModalSystem:
         return gain
 
 
-def modal_system(A: Array, B: Array, C: Array, direct: Array | None = None) -> ModalSystem:
+def modal_system(A: Array, B: Array, C: Array, direct: Array | None) -> ModalSystem:
     """`x' = A x + B u`, `y = C x + direct u` in modes. Raises UserError where A has no full set of eigenvectors."""
     poles, vectors = np.linalg.eig(A)
     if np.linalg.cond(vectors / np.linalg.norm(vectors, axis=0)) > 1e13:

@@ -63,7 +63,7 @@ class Grid:
         return np.arange(self.samples, dtype=float) / self.sample_rate
 
 
-def record_grid(plan: SampledPlan, oversampling: int = OVERSAMPLING) -> Grid:
+def record_grid(plan: SampledPlan, oversampling: int) -> Grid:
     """The grid of a planned record."""
     return Grid(round(plan.duration * plan.sample_rate), plan.sample_rate, oversampling)
 

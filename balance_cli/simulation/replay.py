@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,8 +56,3 @@ def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, roto
     for extension in rig.extensions:
         volts = extension.volts(Signals(volts, rig.geometry.channel_names, step, np.random.default_rng(0)))
     return np.asarray(volts[::oversampling])
-
-
-def without_extensions(rig: TrueRig, names: tuple[str, ...]) -> TrueRig:
-    """The rig without its extensions of these names."""
-    return replace(rig, extensions=tuple(item for item in rig.extensions if item.name not in names))

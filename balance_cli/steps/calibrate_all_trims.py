@@ -43,7 +43,7 @@ def fit_all_trims(
     geometry: Geometry,
     hold_out: Sequence[Run],
     choice: TermChoice,
-    non_iterative: bool = False,
+    non_iterative: bool,
 ) -> AllTrimsCalibration | None:
     """Fit one calibration model to the runs of all trims.
 

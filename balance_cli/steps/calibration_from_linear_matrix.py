@@ -22,9 +22,7 @@ from balance_cli.steps.calibration_from_matrix import MATRIX_TRIM, linear_trim, 
 Array = NDArray[np.float64]
 
 
-def calibration_from_linear_matrix(
-    matrix: LinearMatrix, geometry: Geometry, hold_out: Sequence[Run] = ()
-) -> Calibration:
+def calibration_from_linear_matrix(matrix: LinearMatrix, geometry: Geometry, hold_out: Sequence[Run]) -> Calibration:
     """Convert a linear matrix to a calibration of one trim with a linear model; its noise is not known (NaN).
 
     Sigma of loads by such a calibration is therefore not known either. The full range is that of the matrix, else the

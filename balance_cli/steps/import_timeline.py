@@ -67,7 +67,7 @@ def same_rate(clock: Clock, rate: float) -> bool:
     return abs(clock.rate - rate) / rate * clock.samples < EQUAL_PLACE
 
 
-def common_timeline(clocks: Sequence[Clock], rate: float | None, slow: Sequence[Clock] = ()) -> Timeline:
+def common_timeline(clocks: Sequence[Clock], rate: float | None, slow: Sequence[Clock]) -> Timeline:
     """The time base in which all groups have samples: at `rate`, or the lowest rate of `clocks`.
 
     The lowest rate is that at which no channel lacks the upper part of its band. `slow` are the clocks of quantities

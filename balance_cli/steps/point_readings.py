@@ -24,7 +24,7 @@ Index = NDArray[np.intp]
 TARE = "tare"
 
 
-def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bool = False) -> PointReadings:
+def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bool) -> PointReadings:
     """The rows of a table; those of one run and load series share a zero.
 
     With `first_is_zero` the first row of each run is that of the unloaded balance, otherwise the rows of kind `tare`.

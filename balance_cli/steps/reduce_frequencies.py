@@ -31,7 +31,7 @@ def reduce_run_at_frequencies(
     geometry: Geometry,
     calibration: Calibration | None,
     source: ResponseSource,
-    zero: ZeroRecord | None = None,
+    zero: ZeroRecord | None,
 ) -> RunLoads:
     """Reduce a run to its mean loads and to its loads at `frequencies` [Hz], in rising order.
 

@@ -172,7 +172,7 @@ def _set_up_run(run: Run, geometry: Geometry, source: ResponseSource, options: T
     if equations is None:
         raise no_state_space_error(options.method)
     health = live_channels(run, geometry).without(source.untrusted_channels)
-    data_quality = assess_data_quality(run, geometry, health, 0, run.samples)
+    data_quality = assess_data_quality(run, geometry, health)
     record, start = _steady_record(run, geometry, source, data_quality, options.harmonics)
     if not data_quality.gaps and set(data_quality.names) == set(record.health.live):
         run = record.run  # without the contribution of nonlinear cell forces

@@ -56,7 +56,7 @@ def fit_without_temperature(
         )
         if result.all_trims is None or number == TEMPERATURE_FITS:
             break
-        terms = refined_temperature_terms(static, geometry, result.all_trims)
+        terms = refined_temperature_terms(static, result.all_trims)
     return _with_reference_errors(result, terms)
 
 
@@ -151,9 +151,7 @@ def initial_temperature_terms(runs: Sequence[Run], geometry: Geometry) -> Temper
     return None if terms.is_empty else terms
 
 
-def refined_temperature_terms(
-    runs: Sequence[Run], geometry: Geometry, all_trims: AllTrimsCalibration
-) -> TemperatureTerms:
+def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibration) -> TemperatureTerms:
     """Estimate the terms of temperature beside the terms of the calibration model, from the rows that it fits.
 
     `runs`: as they were read.

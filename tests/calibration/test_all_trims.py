@@ -209,9 +209,6 @@ def test_noise_of_readings_and_of_loads_are_told_apart():
     np.testing.assert_allclose(np.mean(stated, axis=0)[[1, 3]], of_loads[[1, 3]], rtol=0.1)
     assert np.all(np.mean(stated, axis=0)[[0, 2, 4]] < 4e-4)
     np.testing.assert_allclose(np.mean(channels, axis=0), own, rtol=0.15)
-    sigma = estimate.row_sigma(np.array([[0.0] * 6, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), C)
-    np.testing.assert_allclose(sigma[0], np.sqrt(np.diag(estimate.reading_covariance)))
-    np.testing.assert_allclose(sigma[1] ** 2 - sigma[0] ** 2, (C[:, 1] * estimate.load_sigma[1]) ** 2, rtol=1e-9)
 
 
 def test_loads_without_noise_get_none():

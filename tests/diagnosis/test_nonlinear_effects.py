@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.estimation.identifiability import unidentifiable_parameters
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -266,15 +265,6 @@ def test_the_score_of_mains_interference_has_no_bias_where_there_is_none(true_ri
         scores += list(curvature.gradient[own] / np.sqrt(np.diag(curvature.information)[own]))
     assert abs(np.mean(scores)) < 3.0 / np.sqrt(len(scores))
     assert 0.4 < np.var(scores) < 2.5
-
-
-def test_an_offset_that_no_mean_shows_is_named(linear_runs):
-    spectra = measured_spectra([run for run in linear_runs if run.name in ("sweep-Fx", "sweep-Fz")], RIG, means=True)
-    batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
-    places = ("channel-offset@x.piezo", "channel-offset@x.strain", "load-offset@Fx", "load-offset@My")
-    model = balance_model(add_effects(RIG, places))
-    names = unidentifiable_parameters(model.parameters, data_curvature(batches, model.system()).information)
-    assert [name for name in names if "offset" in name] == ["load-offset@My.offset", "channel-offset@x.piezo.offset"]
 
 
 def test_hub_loads_of_a_rig_that_is_not_linear(true_rig):

@@ -13,7 +13,7 @@ from balance_cli.campaign.rig.geometry_file import geometry_from_dict, geometry_
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.response_jacobian import output_jacobian
-from balance_cli.model.state_space import realization_error, state_space
+from balance_cli.model.state_space import state_space
 from balance_cli.model.system_response import response, solve
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.assembly import equations_of_motion
@@ -21,6 +21,7 @@ from balance_cli.simulation.response import force_matrix, full_system, input_mat
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.simulation.sensors import sensor_volts
 from tests.support.other_rigs import other_rig
+from tests.support.realization_error import realization_error
 from tests.support.rigs import angular_frequency, one_degree_of_freedom, two_degrees_of_freedom
 
 FREQUENCY = np.concatenate([[0.0], np.geomspace(1.0, 200.0, 40)])

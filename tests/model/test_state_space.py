@@ -11,11 +11,12 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.realization import Realization, modal_form
 from balance_cli.model.relaxation import BAND, hysteretic_law, relaxation_chain
-from balance_cli.model.state_space import realization_error, state_space, with_anti_alias
+from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.model.system import REFERENCE_FREQUENCY
 from balance_cli.model.system_response import response, solve
 from balance_cli.signals.anti_alias import anti_alias_response
 from tests.support.effect_checks import RIG, SPIN, model_with_effect
+from tests.support.realization_error import realization_error
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
 FREQUENCY = np.concatenate([[0.0], np.geomspace(0.1, 400.0, 200)])

@@ -62,7 +62,6 @@ def test_stated_covariance_of_a_periodic_response(periodic):
 
 def test_the_response_that_reduction_uses(periodic):
     assert response_to_component(periodic, "Fx").run == "high"
-    assert response_to_component(periodic, "Fx", "lowest").run == "low"
     with pytest.raises(UserError, match="no measured response to Mz"):
         response_to_component(periodic, "Mz")
 

@@ -101,9 +101,6 @@ class MappedTemperature(_Scaled):
     name: Name
 
 
-NamedTemperature = Annotated[MappedTemperature, BeforeValidator(_name_as_mapping)]
-
-
 class MappedLoadPoint(_Scaled):
     """A force at a point other than the hub: its channel in the file, position [m] and direction in rig axes."""
 

@@ -73,7 +73,7 @@ class Column:
             return False
 
 
-def identify_columns(table: TextTable, names: Sequence[str], shared: Iterable[str] = ()) -> list[Column | None]:
+def identify_columns(table: TextTable, names: Sequence[str], shared: Iterable[str]) -> list[Column | None]:
     """Each column of the table as one of the known names; None for any other.
 
     Words such as `Force` beside the name of a load count where no column has the name alone. Of a name that a load

@@ -209,7 +209,7 @@ def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | No
     return pick_channels(run.read(start, stop).channels, run.channel_names, names)
 
 
-def read_channel_rows(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:
+def read_channel_rows(run: Run, names: Sequence[str], start: int, stop: int | None) -> Array:
     """Read the same as rows (len(names), n) of consecutive numbers; not a copy where the run holds all of them so."""
     source = run.source
     if (

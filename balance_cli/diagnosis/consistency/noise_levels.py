@@ -48,7 +48,7 @@ def noise_findings(
 
 
 def compare_noise(
-    levels: Iterable[RunNoise], channel_names: tuple[str, ...], stored: Sequence[UsualNoise] = ()
+    levels: Iterable[RunNoise], channel_names: tuple[str, ...], stored: Sequence[UsualNoise]
 ) -> list[ConsistencyFinding]:
     """Return the findings of `noise_findings` from the noise of the runs, one for each.
 

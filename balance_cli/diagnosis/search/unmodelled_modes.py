@@ -121,7 +121,7 @@ def _empirical_effects(state: SearchState) -> list[str]:
 
 
 def unmodelled_mode_candidates(
-    state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings, excluded: Collection[str] = ()
+    state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings, excluded: Collection[str]
 ) -> tuple[Candidate, ...]:
     """The empirical candidates, started at the frequencies of the largest model errors."""
     system = state.model.system(state.theta, derivatives=False)

@@ -104,11 +104,11 @@ def is_stable(model: Coefficients) -> bool:
     return bool(np.all(np.isfinite(A)) and np.max(np.linalg.eigvals(A).real) < 0.0)
 
 
-def stabilize(model: Coefficients, full_damping: bool) -> Coefficients | None:
+def stabilize(model: Coefficients) -> Coefficients | None:
     """Reflect unstable eigenvalues into the left half plane, with the same eigenvectors; None where that fails.
 
     With the eigenvectors V and eigenvalues Lambda of the quadratic problem, [D, K] solves
-    V Lambda^2 + D V Lambda + K V = 0. Diagonal damping keeps the diagonal of that D.
+    V Lambda^2 + D V Lambda + K V = 0.
     """
     if is_stable(model):
         return model
@@ -122,8 +122,7 @@ def stabilize(model: Coefficients, full_damping: bool) -> Coefficients | None:
         DK = np.asarray(np.linalg.solve(np.vstack([VL, V]).T, -(VL * reflected).T).T.real, float)
     except np.linalg.LinAlgError:
         return None
-    D = DK[:, :n] if full_damping else np.diag(np.diag(DK[:, :n]))
-    result = Coefficients(D, DK[:, n:], model.B_F)
+    result = Coefficients(DK[:, :n], DK[:, n:], model.B_F)
     return result if is_stable(result) else None
 
 

@@ -67,7 +67,7 @@ def fit_reweighted_equation_error(data: GroupedLines, start: Coefficients) -> Co
         table[free] += invert_scaled(step.hessian) @ step.gradient
         model = coefficients_from_table(table)
     if best is None and model is not None:
-        best = stabilize(model, full_damping=True)
+        best = stabilize(model)
     return best
 
 

@@ -53,8 +53,8 @@ class DataQuality:
         return tuple(s for s in self.segments if not s.channels)
 
 
-def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, start: int, stop: int) -> DataQuality:
-    """Return the usable data of samples start to stop; `health` is that of the whole record.
+def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth) -> DataQuality:
+    """Return the usable data of a record.
 
     Raises UserError where a gap is too long, or no segment has all channels.
     """
@@ -64,10 +64,9 @@ def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, sta
     bridged = {item.name: item.index for item in run.bridged}
     doubtful = [name for name in present if name in health.left_out or name in bridged]
     limits = np.array([declared[name].range or np.inf for name in doubtful])
-    bad = _bad_samples(run, doubtful, limits, start, stop)
+    bad = _bad_samples(run, doubtful, limits)
     for column, name in enumerate(doubtful):
-        index = bridged.get(name, np.empty(0, np.int64))
-        bad[index[(index >= start) & (index < stop)] - start, column] = True
+        bad[bridged.get(name, np.empty(0, np.int64)), column] = True
     bad_intervals = [_bad_intervals(column, run.sample_rate) for column in bad.T]
     partly_bad = {
         name: intervals
@@ -76,17 +75,17 @@ def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, sta
     }
     names = tuple(name for name in present if name in health.live or name in partly_bad)
     left_out = [(low, high, names.index(name)) for name, intervals in partly_bad.items() for low, high in intervals]
-    segments = _segments(left_out, len(names), start, stop)
+    segments = _segments(left_out, len(names), run.samples)
     _check_gaps(run, segments)
     _check_common_segment(run, names, segments)
-    return DataQuality(names, segments, _notes(run, partly_bad, segments, start))
+    return DataQuality(names, segments, _notes(run, partly_bad, segments))
 
 
-def _bad_samples(run: Run, names: Sequence[str], limits: NDArray[np.float64], start: int, stop: int) -> Bits:
+def _bad_samples(run: Run, names: Sequence[str], limits: NDArray[np.float64]) -> Bits:
     """Return which samples (n, c) are not finite or at the range."""
     parts = []
-    for first in range(start, stop, 65536):
-        y = read_channels(run, names, first, min(first + 65536, stop))
+    for first in range(0, run.samples, 65536):
+        y = read_channels(run, names, first, min(first + 65536, run.samples))
         parts.append(~np.isfinite(y) | (np.abs(y) >= AT_RANGE * limits))
     return np.concatenate(parts)
 
@@ -105,14 +104,13 @@ def _bad_intervals(bad: Bits, sample_rate: float) -> list[tuple[int, int]]:
     return intervals
 
 
-def _segments(left_out: Sequence[tuple[int, int, int]], count: int, start: int, stop: int) -> tuple[Segment, ...]:
-    """Return the segments of `count` channels, of which (low, high, channel), samples from `start` on, are left out."""
-    edges = sorted({0, stop - start, *(edge for low, high, _ in left_out for edge in (low, high))})
+def _segments(left_out: Sequence[tuple[int, int, int]], count: int, samples: int) -> tuple[Segment, ...]:
+    """Return the segments of `count` channels, of which (low, high, channel) are left out."""
+    edges = sorted({0, samples, *(edge for low, high, _ in left_out for edge in (low, high))})
     missing = [{i for low, high, i in left_out if low <= edge < high} for edge in edges]
     changes = [0, *(k for k in range(1, len(edges) - 1) if missing[k] != missing[k - 1]), len(edges) - 1]
     return tuple(
-        Segment(start + edges[a], start + edges[b], tuple(i for i in range(count) if i not in missing[a]))
-        for a, b in pairwise(changes)
+        Segment(edges[a], edges[b], tuple(i for i in range(count) if i not in missing[a])) for a, b in pairwise(changes)
     )
 
 
@@ -136,17 +134,15 @@ def _check_common_segment(run: Run, names: Sequence[str], segments: Sequence[Seg
         raise UserError(fault, str(run.path or run.name), "channels", "Leave out the channels that are bad for long")
 
 
-def _notes(
-    run: Run, partly_bad: dict[str, list[tuple[int, int]]], segments: Sequence[Segment], start: int
-) -> tuple[str, ...]:
+def _notes(run: Run, partly_bad: dict[str, list[tuple[int, int]]], segments: Sequence[Segment]) -> tuple[str, ...]:
     """Return the gaps and the intervals of lost channels, in words."""
     assert run.sample_rate is not None
     rate = run.sample_rate
     gaps = [s for s in segments if not s.channels]
     notes = [f"gap from {g.start / rate:.3f} to {g.stop / rate:.3f} s bridged" for g in gaps]
     for name, intervals in partly_bad.items():
-        outside = [(a, b) for a, b in intervals if not any(g.start <= start + a and start + b <= g.stop for g in gaps)]
+        outside = [(a, b) for a, b in intervals if not any(g.start <= a and b <= g.stop for g in gaps)]
         if outside:
-            times = ", ".join(f"{(start + a) / rate:.3f} to {(start + b) / rate:.3f} s" for a, b in outside)
+            times = ", ".join(f"{a / rate:.3f} to {b / rate:.3f} s" for a, b in outside)
             notes.append(f"channel {name} not used from {times}")
     return tuple(notes)

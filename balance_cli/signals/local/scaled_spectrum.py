@@ -59,9 +59,7 @@ class ScaledSpectrum:
     window_noise: WindowNoise | None = None
 
 
-def record_spectrum(
-    run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
-) -> ScaledSpectrum:
+def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, float]) -> ScaledSpectrum:
     """Transform the whole record, and return the lines of the excited part of `band` [Hz], without zero frequency.
 
     Raises UserError where the record is too short, or loads are proportional to each other.

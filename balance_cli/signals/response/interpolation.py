@@ -86,7 +86,7 @@ def interpolate_response(
     return InterpolatedResponse(*arrays) if np.ndim(frequency) else InterpolatedResponse(*(part[0] for part in arrays))
 
 
-def interpolate_values(response: FrequencyResponse, frequency: Array, method: str = "local") -> ComplexArray:
+def interpolate_values(response: FrequencyResponse, frequency: Array, method: str) -> ComplexArray:
     """Interpolate the value (h, c, u) of the response, without covariance, at many frequencies (h,) [Hz].
 
     As `interpolate_response`, but one local model is fitted between each two lines and used for all frequencies there.

@@ -107,8 +107,8 @@ def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
     )
 
 
-def response_to_component(transfer: Transfer, component: str, level: str = "highest") -> FrequencyResponse:
-    """Return the response to one component at its `highest` or `lowest` level; of several, that of least sigma.
+def response_to_component(transfer: Transfer, component: str) -> FrequencyResponse:
+    """Return the response to one component at its highest level; of several, that of least sigma.
 
     Raises UserError where no sweep excited that component.
     """
@@ -118,7 +118,7 @@ def response_to_component(transfer: Transfer, component: str, level: str = "high
     if not candidates:
         raise UserError(f"there is no measured response to {component}", remedy="Include a sweep that excites it")
     levels = [response.level[0] for response in candidates if np.isfinite(response.level[0])]
-    target = (max if level == "highest" else min)(levels, default=float("nan"))
+    target = max(levels, default=float("nan"))
     at_level = [response for response in candidates if np.isclose(response.level[0], target, equal_nan=True)]
     return min(at_level, key=lambda response: float(np.median(relative_sigma(response))))
 

@@ -144,7 +144,7 @@ def estimate_harmonics(
     """
     names = _signal_names(run) if names is None else tuple(names)
     last = azimuth.turns if last_revolution is None else last_revolution
-    _check_interval(run, azimuth, n, first_revolution, last)
+    _check_interval(run, azimuth, first_revolution, last)
     revolutions = (first_revolution, last)
     start, end = (float(t) for t in azimuth.time_of(np.array(revolutions)))
     offsets = line_offsets(last - first_revolution)
@@ -187,8 +187,7 @@ def _signal_names(run: Run) -> tuple[str, ...]:
     return run.channel_names + (COMPONENTS if run.has_loads else ())
 
 
-def _check_interval(run: Run, azimuth: Azimuth, n: int, first: int, last: int) -> None:
-    assert run.sample_rate is not None
+def _check_interval(run: Run, azimuth: Azimuth, first: int, last: int) -> None:
     if not 0 <= first < last <= azimuth.turns or last - first < FEWEST_REVOLUTIONS:
         fault = f"revolutions {first} to {last} of {azimuth.turns}: at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Record for longer")

@@ -130,7 +130,7 @@ def _apply_offset(times: Array, azimuth: Azimuth, settings: TachometerSettings) 
 
 def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: TachometerSettings) -> tuple[Array, list[str]]:
     levels = find_levels(read, samples, settings.level, settings.hysteresis)
-    _check_levels(levels, settings)
+    _check_levels(levels)
     edges = find_edges(read, samples, rate, levels)
     rising = settings.slope == "rising" or (settings.slope == "auto" and _is_high_shorter(edges))
     leading, trailing = (edges.rising, edges.falling) if rising else (edges.falling, edges.rising)
@@ -147,7 +147,7 @@ def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: Tachome
     return times, notes + more
 
 
-def _check_levels(levels: Levels, settings: TachometerSettings) -> None:
+def _check_levels(levels: Levels) -> None:
     if levels.high <= levels.low:
         raise UserError("is constant", place="tachometer", remedy="Give the channel of the tachometer")
     if not levels.low < levels.level < levels.high:

@@ -46,7 +46,7 @@ def _quiet() -> Array:
 def _found(y: Array) -> DataQuality:
     source = MemorySource(y, None)
     run = Run("r", "R", "wind", NAMES, len(y), source, has_loads=False, sample_rate=RATE)
-    return assess_data_quality(run, GEOMETRY, live_channels(run, GEOMETRY), 0, len(y))
+    return assess_data_quality(run, GEOMETRY, live_channels(run, GEOMETRY))
 
 
 def test_a_sound_record_is_one_stretch():
@@ -150,7 +150,7 @@ def test_channels_that_are_never_good_together_are_refused():
     run = Run("r", "R", "wind", tuple(c.name for c in many), SAMPLES, MemorySource(y, None), sample_rate=RATE)
     geometry = geometry.model_copy(update={"channels": many})
     with pytest.raises(UserError, match="at no time are all channels good"):
-        assess_data_quality(run, geometry, live_channels(run, geometry), 0, SAMPLES)
+        assess_data_quality(run, geometry, live_channels(run, geometry))
 
 
 @settings(max_examples=60, deadline=None)
