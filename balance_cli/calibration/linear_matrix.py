@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.load_table_columns import plain_name
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable
 from balance_cli.io.units import FORCE, MOMENT, NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
@@ -24,8 +25,6 @@ from balance_cli.io.units import FORCE, MOMENT, NUMBER, RATIO, VOLTAGE, Unit, pa
 Array = NDArray[np.float64]
 
 RANGE_WORDS = ("range", "max", "fullscale", "ratedload", "capacity")
-LARGEST_CONDITION = 1e8
-"""Condition of the matrix, rows of unit norm, from which it does not determine the loads."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,7 @@ def read_linear_csv(table: TextTable, components: Sequence[str], channels: Seque
 
 def check_condition(T0: Array, file: str) -> None:
     """Raise UserError where a matrix (k, c) does not determine the loads."""
-    norm = np.linalg.norm(T0, axis=1, keepdims=True)
-    if T0.shape[1] < T0.shape[0] or not np.all(norm > 0) or np.linalg.cond(T0 / norm) > LARGEST_CONDITION:
+    if not has_independent_columns(T0.T):
         fault = f"does not determine {T0.shape[0]} loads: its lines are combinations of each other"
         raise UserError(fault, file, remedy="Check the matrix, and that it has as many channels as loads")
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize
 from balance_cli.estimation.likelihood import Curvature
@@ -78,9 +79,7 @@ def _measured_springs(system: System, weight: Array, gains: ComplexArray) -> Ind
 
 def determines_motion(system: System, measured: MeasuredForces) -> bool:
     """Whether the measured forces determine every motion of the balance."""
-    R = system.readings.value[measured.rows]
-    size = np.linalg.norm(R, axis=0)
-    return bool(np.all(size > 0)) and np.linalg.matrix_rank(R / size) == R.shape[1]
+    return has_independent_columns(system.readings.value[measured.rows])
 
 
 def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArray, ComplexArray]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.model.plate import carried_components
 from balance_cli.model.response_jacobian import output_jacobian
@@ -28,9 +29,6 @@ from balance_cli.signals.anti_alias import anti_alias_response
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
-
-LARGEST_CONDITION = 1e12
-"""Condition number of the response from which the channels do not determine the loads."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +63,10 @@ def load_forecast(
     solution = solve(system, frequency, speed)
     T = response(system, solution)[:, :, columns]
     weight = _precision(geometry, noise, frequency, sample_rate, seconds)
-    G, covariance = _weighted_inverse(T, weight)
-    if G is None:
-        return None
     amplitude = np.array([reference[name] for name in components])
+    if not has_independent_columns(np.sqrt(weight)[:, :, None] * T, 1.0 / amplitude):
+        return None
+    G, covariance = _weighted_inverse(T, weight)
     jacobian = np.zeros((len(frequency), len(columns), len(columns), model.size), complex)
     for k, (j, size) in enumerate(zip(columns, amplitude, strict=True)):
         loads = np.zeros((len(frequency), 6), complex)
@@ -84,18 +82,12 @@ def _precision(geometry: Geometry, noise: ChannelNoise, frequency: Array, sample
     return np.asarray(gain**2 / variance)
 
 
-def _weighted_inverse(T: ComplexArray, weight: Array) -> tuple[ComplexArray | None, Array]:
-    """G (h, m, c) and the variance (h, m) of the loads by noise; None where the channels do not determine them."""
-    weighted = T.conj().swapaxes(1, 2) * weight[:, None, :]
-    normal = weighted @ T
-    size = np.sqrt(np.real(np.diagonal(normal, axis1=1, axis2=2)))
-    if T.shape[1] < T.shape[2] or not np.all(size > 0):
-        return None, np.zeros(0)
-    scaled = normal / (size[:, :, None] * size[:, None, :])
-    if not np.all(np.linalg.cond(scaled) < LARGEST_CONDITION):
-        return None, np.zeros(0)
-    inverse = np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :])
-    return np.asarray(inverse @ weighted), np.real(np.diagonal(inverse, axis1=1, axis2=2))
+def _weighted_inverse(T: ComplexArray, weight: Array) -> tuple[ComplexArray, Array]:
+    """G (h, m, c) and the variance (h, m) of the loads by noise; G = (T* W T)^-1 T* W."""
+    root = np.sqrt(weight)[:, :, None]
+    size = np.linalg.norm(root * T, axis=1)[:, :, None]
+    inverse = np.linalg.pinv(root * T / size.swapaxes(1, 2)) / size
+    return np.asarray(inverse * root.swapaxes(1, 2), complex), np.sum(np.abs(inverse) ** 2, axis=2)
 
 
 def parameter_sigma(forecast: LoadForecast, model: ExtendedModel, covariance: Array) -> Array:

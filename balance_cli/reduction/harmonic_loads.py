@@ -12,9 +12,9 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.independence import has_independent_columns, negligible_columns
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
-from balance_cli.reduction.determination import determines_all_loads, loads_without_response
 from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
 from balance_cli.reduction.response_sources import (
     ResponseSource,
@@ -279,9 +279,9 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
 
 def _check_determined(T: ComplexArray, record: RotorRecord, scale: Array) -> None:
     """Raise UserError unless T (n, rows, m) determines the loads, which `scale` (m,) makes comparable."""
-    if determines_all_loads(T, scale):
+    if has_independent_columns(T, scale):
         return
-    without_response = [record.components[i] for i in np.flatnonzero(loads_without_response(T, scale))]
+    without_response = [record.components[i] for i in np.flatnonzero(negligible_columns(T, scale))]
     left_out = "; ".join(f"{name}: {reason}" for name, reason in record.health.left_out.items()) or "none"
     unidentifiable = ", ".join(without_response) or ", ".join(record.components)
     raise UserError(

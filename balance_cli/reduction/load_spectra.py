@@ -18,9 +18,9 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
-from balance_cli.reduction.determination import determines_all_loads
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.response_sources import ResponseSource, highest_frequency, load_scale, usable_channels
 from balance_cli.reduction.spectra_result import RunSpectra
@@ -188,7 +188,7 @@ def _invert(
     combination = chosen.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
     columns = [COMPONENTS.index(name) for name in components]
     T = source.at(frequency, run.rotor_speed)[:, chosen.rows][:, :, columns]
-    if not determines_all_loads(T, load_scale(geometry.hub)[columns]):
+    if not has_independent_columns(T, load_scale(geometry.hub)[columns]):
         left_out = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
         fault = f"the channels do not determine {', '.join(components)} (left out: {left_out})"
         raise UserError(fault, _place(run), "channels", "Repair the channels, or leave the run out with --skip-bad")

@@ -17,6 +17,7 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.recording.temperature import mean_temperature
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION, REDUNDANCY_CONFIDENCE
@@ -27,8 +28,6 @@ Array = NDArray[np.float64]
 
 ZERO_SEGMENTS = 16
 """Segments of a zero record. The scatter of their means gives the error of the whole mean, known to 18 % by so many."""
-LARGEST_CONDITION = 1e8
-"""Condition of C0, loads in units of the calibrated range, from which it does not determine them: half the digits."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ def _loads_by_trim(
     unloaded = CalibrationZeros(trim.offsets.mean(axis=0), trim.offsets)
     reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
     C0 = trim.C0[reading.rows]
-    if not determines_loads(C0 * trim.calibrated_range):
+    if not has_independent_columns(C0 * trim.calibrated_range):
         raise undetermined_loads_error(health, spectra.run)
     W = np.linalg.inv(trim.noise_covariance[np.ix_(reading.rows, reading.rows)])
     is_complete = len(reading.rows) == len(trim.channel_names)
@@ -240,11 +239,6 @@ def mean_reading(
     change = change - (zero.mean[at] - zeros.unloaded[rows])
     covariance = covariance + np.diag(zero.variance[at])
     return MeanReading(rows, change, covariance, min(dof, ZERO_SEGMENTS - 1.0))
-
-
-def determines_loads(C0: Array) -> bool:
-    """Whether the matrix (c, k) of the remaining channels determines the loads, in units of the calibrated range."""
-    return len(C0) >= C0.shape[1] and bool(np.linalg.cond(C0) < LARGEST_CONDITION)
 
 
 def undetermined_loads_error(health: ChannelHealth, run: str) -> UserError:

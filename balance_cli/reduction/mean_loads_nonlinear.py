@@ -19,13 +19,13 @@ from balance_cli.calibration.untested_products import (
 )
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import (
     CalibrationZeros,
     MeanLoads,
     MeanReading,
     ZeroRecord,
-    determines_loads,
     flag_extrapolated,
     mean_load_redundancy,
     mean_reading,
@@ -152,7 +152,7 @@ def _loads_determined(model: CalibrationModel, rows: Index) -> bool:
     """Whether the linear part of these channels determines the loads, beyond the errors of its coefficients."""
     k = len(model.components)
     C = model.coefficients[:k, rows].T
-    if not determines_loads(C):
+    if not has_independent_columns(C):
         return False
     unit = 1.0 / np.sqrt(np.diagonal(model.residual_covariance)[rows])
     U, s, Vt = np.linalg.svd(unit[:, None] * C, full_matrices=False)

@@ -29,6 +29,7 @@ from balance_cli.calibration.weight_covariance import weight_covariance
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.independence import LARGEST_CONDITION
 from balance_cli.campaign.rig.load_components import LoadComponents, load_components
 from balance_cli.io.errors import UserError
 from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity_of_runs
@@ -42,8 +43,6 @@ MIN_LOAD_VARIATION = 0.01
 """Variation of a load over its largest value below which it counts as constant: above load noise, below any step."""
 MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0
 """Standard errors by which the least singular value of C0 must differ from zero for it to determine the loads."""
-LARGEST_CONDITION = 1e8
-"""Condition of C0 from which it does not determine the loads: half the digits of double precision."""
 MIN_NULL_SHARE = 0.1
 """Share in the least singular vector from which a component is named in an error."""
 

@@ -28,9 +28,10 @@ from balance_cli.calibration.untested_products import (
 )
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.mean_loads import determines_loads, mean_load_redundancy
+from balance_cli.reduction.mean_loads import mean_load_redundancy
 from balance_cli.signals import distributions as stats
 from balance_cli.steps.point_attitude import rows_of_unknown_weight, weight_covariance, weight_of_metric_part
 from balance_cli.steps.point_flags import RowTests, point_flags
@@ -143,7 +144,7 @@ def _usable_model(readings: PointReadings, calibration: Calibration) -> _Model:
         model, noise = all_trims.loads_model, all_trims.noise.reading_covariance
     rows = np.array([i for i, name in enumerate(model.channel_names) if name in readings.channel_names], np.intp)
     k = len(model.components)
-    if not determines_loads(model.coefficients[:k, rows].T):
+    if not has_independent_columns(model.coefficients[:k, rows].T):
         lost = [name for name in model.channel_names if name not in readings.channel_names]
         fault = f"its channels do not determine the loads (absent: {', '.join(lost) or 'none'})"
         raise UserError(fault, readings.run, "channels", f"Give columns of {', '.join(model.channel_names)}")

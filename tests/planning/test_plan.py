@@ -118,6 +118,14 @@ def test_scores_of_campaigns_with_the_smallest_size_are_as_large_as_predicted(ri
     assert abs(np.mean(gains) - 1.0 - needed) < 3.5 * np.sqrt(2.0 * (1.0 + 2.0 * needed) / len(gains))
 
 
+def test_no_loads_are_forecast_of_channels_that_do_not_determine_them():
+    geometry = other_rig("C")
+    channels = tuple(channel for channel in geometry.channels if not channel.torque_meter)
+    without_torque = geometry.model_copy(update={"channels": channels})
+    assert planning_rig(geometry, hall_of(geometry, "C")).forecast is not None
+    assert planning_rig(without_torque, hall_of(geometry, "C")).forecast is None
+
+
 def test_information_grows_with_every_run(rig_a, information_a):
     few, all_runs = (
         project(add_information(part, rig_a.model), rig_a.model) for part in (information_a[:3], information_a)

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_component import LoadComponent
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import FORCE, MOMENT
 
 Array = NDArray[np.float64]
 
-LARGEST_CONDITION = 1e8
-"""Condition of the components, arms in units of the longest, from which they depend on each other."""
 COMPONENT_OF_FREEDOM = {"x": "Fx", "y": "Fy", "z": "Fz", "psi": "Mz", "theta": "My", "phi": "Mx"}
 """The load component that drives each motion by itself."""
 
@@ -189,6 +188,6 @@ def _dependence_faults(geometry: Geometry, declared: Sequence[LoadComponent]) ->
     to_hub = load_components(geometry).to_hub
     arms = np.abs(to_hub[:, 3:]).max()
     scaled = to_hub / np.r_[np.ones(3), np.full(3, arms if arms > 0 else 1.0)]
-    if np.linalg.cond(scaled / np.linalg.norm(scaled, axis=1, keepdims=True)) > LARGEST_CONDITION:
+    if not has_independent_columns(scaled.T):
         fault = "depend on each other: one is a combination of the others"
         yield UserError(fault, place="components", remedy="Check `direction`, `moment` and `position`")
