@@ -49,6 +49,13 @@ def test_a_mass_is_outside_where_refits_with_it_say_so(declared):
         assert (lower < mass < upper) == (rise_with_mass_held(campaign, fit, at[0], mass) < CHI2_95)
 
 
+def test_a_fit_that_is_not_at_its_minimum_has_no_region(declared):
+    campaign, fit = declared
+    theta = fit.theta.copy()
+    theta[mass_and_place(fit.model)[0]] *= -1.0
+    assert mass_intervals(fit.model, theta, campaign.batches, SETTINGS) == {}
+
+
 def rise_with_mass_held(campaign, fit, at, mass):
     sigma = np.where(np.arange(len(fit.theta)) == at, 0.0, fit.model.parameters.sigma)
     theta = fit.theta.copy()

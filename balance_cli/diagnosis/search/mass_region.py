@@ -57,9 +57,15 @@ def mass_region(
 def mass_intervals(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
 ) -> dict[str, tuple[float, float]]:
-    """95 % intervals of a point mass and its position, by full parameter names; empty without a point mass."""
+    """95 % intervals of a point mass and its position, by full parameter names; empty without a point mass.
+
+    Empty, too, where the fit does not lie in its region: it is not at the minimum, and the region is that of no fit.
+    """
     region, at = mass_region(model, theta, batches, settings), mass_parameter_indices(model)
     if region is None or at is None:
+        return {}
+    lowest, highest = region.intervals.T
+    if np.any((theta[at] < lowest) | (theta[at] > highest)):
         return {}
     ends = ((float(lower), float(upper)) for lower, upper in region.intervals)
     return dict(zip((model.parameters.names[i] for i in at), ends, strict=True))
