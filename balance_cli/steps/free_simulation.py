@@ -132,10 +132,14 @@ def diagnose_with_free_simulation(
 
 
 def nonlinear_effects(model: IdentifiedModel) -> tuple[str, ...]:
-    """Return NAME@PLACE of the effects that are nonlinear forces or channels."""
+    """Return NAME@PLACE of the effects that are nonlinear forces or channels.
+
+    Each is taken alone and without its values, which need not be physical without the other effects.
+    """
     labels = []
     for item in model.geometry.effects:
-        alone = model.geometry.model_copy(update={"effects": (item,)})
+        words = {name: value for name, value in item.parameters.items() if isinstance(value, str)}
+        alone = model.geometry.model_copy(update={"effects": (item.model_copy(update={"parameters": words}),)})
         if balance_model(alone).system().equations.nonlinear_terms:
             labels.append(effect_label(item.name, item.where))
     return tuple(labels)

@@ -24,7 +24,12 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
-from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation, simulation_error
+from balance_cli.steps.free_simulation import (
+    SimulationTask,
+    diagnose_with_free_simulation,
+    nonlinear_effects,
+    simulation_error,
+)
 from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors
 from balance_cli.steps.identify import IdentifyOptions, identify
 from tests.support.diagnosis_content import delay_effect, diagnosis
@@ -53,6 +58,15 @@ def runs():
         SweepPlan(run="low", excited=("Fz",), level=(30.0,), period=2.0, periods=4),
     )
     return simulate_campaign(apply_effects(true_rig(ONE), (cubic(4e10),)), CampaignPlan(runs=plans), seed=5).runs
+
+
+def test_nonlinear_effects_are_told_where_others_are_physical_only_together():
+    plate = sum(body.mass for body in ONE.bodies)
+    negative = DeclaredEffect(name="added-mass", parameters={"mass": -2.0 * plate})
+    model = replace(knowing(), geometry=ONE.model_copy(update={"effects": (negative, cubic(4e10))}))
+    with pytest.raises(np.linalg.LinAlgError):
+        balance_model(ONE.model_copy(update={"effects": (negative,)})).system()
+    assert nonlinear_effects(model) == ("cubic-stiffness@z",)
 
 
 def test_the_true_model_follows_from_the_loads_alone_and_the_linear_one_does_not(runs):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from balance_cli.model.balance import BalanceModel
 
-
-def choose_most_linear(models: Sequence[BalanceModel], gains: Sequence[float], tolerance: float) -> int:
+def choose_most_linear(nonlinear_terms: Sequence[int], gains: Sequence[float], tolerance: float) -> int:
     """Return the index of the model with the fewest nonlinear terms among those within `tolerance` of the best gain.
 
-    An offset and a nonlinear force can have the same effect on the data, and every rig has offsets. Among models with
-    equally many terms the one with the largest gain is chosen.
+    `nonlinear_terms` and `gains` are those of each model. An offset and a nonlinear force can have the same effect on
+    the data, and every rig has offsets. Among models with equally many terms the one with the largest gain is chosen.
     """
     equivalent = [i for i, gain in enumerate(gains) if gain >= max(gains) - tolerance]
-    return min(equivalent, key=lambda i: (models[i].system().equations.nonlinear_terms, -gains[i]))
+    return min(equivalent, key=lambda i: (nonlinear_terms[i], -gains[i]))

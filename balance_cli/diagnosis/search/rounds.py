@@ -51,9 +51,8 @@ def search_round(
     if not refits:
         return RoundResult(None)
     gains = _gains(state, refits, settings)
-    best_score, best = refits[
-        choose_most_linear([end.model for _, end in refits], list(gains.values()), settings.indistinguishable_chi2)
-    ]
+    terms = [end.model.system(end.theta, derivatives=False).equations.nonlinear_terms for _, end in refits]
+    best_score, best = refits[choose_most_linear(terms, list(gains.values()), settings.indistinguishable_chi2)]
     label, threshold = best_score.candidate.label, _min_gain(lines, len(ranked), settings.rounds)
     accepted = gains[label] > threshold and best.validation_criterion < state.validation_criterion
     validation = {score.candidate.label: state.validation_criterion - end.validation_criterion for score, end in refits}

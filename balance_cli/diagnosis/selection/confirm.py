@@ -194,7 +194,8 @@ def _best_refit(fit: Fit, scores: Sequence[Score], refits: Sequence[Fit], settin
         fit.chi2 - refit.chi2 - settings.parameter_cost * score.parameters
         for score, refit in zip(scores, refits, strict=True)
     ]
-    return choose_most_linear([refit.model for refit in refits], gains, settings.indistinguishable_chi2)
+    terms = [refit.model.system(refit.theta, derivatives=False).equations.nonlinear_terms for refit in refits]
+    return choose_most_linear(terms, gains, settings.indistinguishable_chi2)
 
 
 def _rejection_reason(context: _RoundContext, score: Score, refit: Fit, validation: float) -> str:
