@@ -6,6 +6,7 @@ cells and transverse stiffness act on the motion relative to it.
 
 from balance_cli.model.effects import (
     added_mass,
+    cell_dashpot,
     cell_misalignment,
     cell_position,
     channel_gain,
@@ -47,6 +48,7 @@ EFFECTS: tuple[Effect, ...] = (
     cell_misalignment.EFFECT,
     cell_position.EFFECT,
     transverse_stiffness.EFFECT,
+    cell_dashpot.EFFECT,
     structural_damping.EFFECT,
     cubic_stiffness.EFFECT,
     quadratic_stiffness.EFFECT,

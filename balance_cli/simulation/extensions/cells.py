@@ -1,4 +1,4 @@
-"""Effects in the cells: nonlinear springs, stops, slipping contacts, relaxation, place and transverse stiffness."""
+"""Effects in the cells: nonlinear springs, stops, slipping contacts, damping, place and transverse stiffness."""
 
 from __future__ import annotations
 
@@ -162,6 +162,19 @@ class TransverseStiffness(Extension):
             relative = mechanics.plate_displacement(cell.position) - mechanics.non_metric_displacement(cell.position)
             mechanics = mechanics.with_springs(across @ relative, np.full(2, self.stiffness))
         return mechanics
+
+
+@dataclass(frozen=True)
+class CellDashpot(Extension):
+    """A force of `damping` [N s/m] times the rate of elongation beside the cell, whose channels do not read it."""
+
+    name: ClassVar[str] = "cell-dashpot"
+    damping: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
+        """The equations with the dashpot at every place."""
+        rows = mechanics.cell_rows[self.places(geometry.cell_names)]
+        return replace(mechanics, damping=mechanics.damping + self.damping * rows.T @ rows)
 
 
 RELAXATION_FREQUENCIES = np.geomspace(0.1, 3000.0, 10)

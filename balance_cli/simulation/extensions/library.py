@@ -12,6 +12,7 @@ from balance_cli.campaign.rig.declared_values import LARGEST_EFFECT_PARAMETER
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.cells import (
+    CellDashpot,
     CellMisalignment,
     CellPosition,
     CubicStiffness,
@@ -57,6 +58,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     CellMisalignment,
     CellPosition,
     TransverseStiffness,
+    CellDashpot,
     StructuralDamping,
     CubicStiffness,
     QuadraticStiffness,
