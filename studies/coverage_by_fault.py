@@ -25,8 +25,9 @@ from balance_cli.reduction.flags import (
     UNMODELLED_LINE,
     UNTESTED,
 )
+from balance_cli.reduction.measured_response import transfer_source
 from balance_cli.reduction.model_sources import model_source
-from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
+from balance_cli.reduction.response_sources import ResponseSource, static_source
 from balance_cli.simulation import Campaign, CampaignPlan, RotorPlan, draw_rig, simulate_campaign
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.library import extension

@@ -16,9 +16,10 @@ from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord
+from balance_cli.reduction.measured_response import TransferSource, transfer_source
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_description import text_with_rotor
-from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
+from balance_cli.reduction.response_sources import ResponseSource, static_source
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response.transfer import Transfer
@@ -102,7 +103,7 @@ def reduce(
     flagged = flag_contradicted_runs({run.run: run for run in loads}, findings)
     reduced, compared = compare_loads(flagged, calibration)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
-    warnings = sorted({*earlier, *filter(None, [fewer]), *compared, *_warnings(findings, records, loads)})
+    warnings = sorted({*earlier, *filter(None, [fewer]), *compared, *_warnings(findings, records, loads, source)})
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
 
 
@@ -133,9 +134,12 @@ def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, 
 
 
 def _warnings(
-    findings: Sequence[ConsistencyFinding], records: Sequence[Run], loads: Sequence[RunLoads]
+    findings: Sequence[ConsistencyFinding], records: Sequence[Run], loads: Sequence[RunLoads], source: ResponseSource
 ) -> Iterator[str]:
     """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out."""
+    if isinstance(source, TransferSource):
+        for name, reason in source.channels_left_out.items():
+            yield f"channel {name} left out of the harmonic loads: {reason}"
     yield from (finding.sentence for finding in findings)
     yield from (f"{run.name}: {describe_gaps(run)}" for run in records if describe_gaps(run))
     for run in loads:

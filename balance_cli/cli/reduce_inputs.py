@@ -57,7 +57,8 @@ def read_response(
     Raises UserError where its geometry is not that of the calibration, or they contradict each other at rest.
     """
     from balance_cli.cli.consistency import compare_static_response, repeat_findings
-    from balance_cli.reduction.response_sources import static_source, transfer_source
+    from balance_cli.reduction.measured_response import transfer_source
+    from balance_cli.reduction.response_sources import static_source
     from balance_cli.steps.reduction_inputs import require_same_geometry
 
     if model is not None:
@@ -78,7 +79,12 @@ def read_response(
         if calibration is not None:
             require_same_geometry(measured.geometry, calibration, str(transfer))
         repeat_findings(session, calibration, measured)
-        source = transfer_source(measured, interpolation)
+        try:
+            source = transfer_source(measured, interpolation)
+        except UserError as error:
+            raise error.with_location(file=str(transfer)) from error
+        for channel, reason in source.channels_left_out.items():
+            session.warn(f"{transfer}: channel {channel} left out of the harmonic loads: {reason}")
         compare_static_response(session, calibration, source, measured.geometry, transfer)
         return _geometry(measured.geometry, calibration), source, measured.usual_noise or ()
     assert calibration is not None

@@ -16,12 +16,11 @@ from balance_cli.campaign.rig.independence import has_independent_columns, negli
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
+from balance_cli.reduction.measured_response import highest_frequency, lowest_frequency
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     circular_real,
-    highest_frequency,
     load_scale,
-    lowest_frequency,
     stacked_real,
     usable_channels,
 )

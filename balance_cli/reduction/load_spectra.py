@@ -22,7 +22,8 @@ from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
-from balance_cli.reduction.response_sources import ResponseSource, highest_frequency, load_scale, usable_channels
+from balance_cli.reduction.measured_response import highest_frequency
+from balance_cli.reduction.response_sources import ResponseSource, load_scale, usable_channels
 from balance_cli.reduction.spectra_result import RunSpectra
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE

@@ -23,10 +23,6 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.plate import moment_reference_length
 from balance_cli.model.system import System
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
-from balance_cli.signals.response.interpolation import interpolate_values
-from balance_cli.signals.response.interpolation_error import interpolate_with_error
-from balance_cli.signals.response.transfer import Transfer, response_to_component
-from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -163,60 +159,6 @@ class ResponseWithoutModel:
 
 
 @dataclass(frozen=True)
-class TransferSource(ResponseWithoutModel):
-    """Measured responses, one per component, interpolated by one of `choices.INTERPOLATIONS`."""
-
-    channel_names: tuple[str, ...]
-    responses: tuple[FrequencyResponse, ...]
-    interpolation: str
-    slowest_decay: float = ASSUMED_DECAY
-
-    @property
-    def response_error(self) -> ResponseError | None:
-        """None: what was measured contains the error that it has."""
-        return None
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Never: what was measured contains the error that it has."""
-        return False
-
-    @property
-    def description(self) -> str:
-        """That it was measured, and how it is interpolated."""
-        return response_text(ResponseDescription(ResponseKind.MEASURED, interpolation=self.interpolation))
-
-    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
-        """Return the rows, which are the channels."""
-        return select_channels(self.channel_names, live, len(frequency))
-
-    def at(self, frequency: Array, spin: float) -> ComplexArray:
-        """Return T, interpolated between the measured lines column by column."""
-        value = np.zeros((len(frequency), len(self.channel_names), 6), complex)
-        for measured in self.responses:
-            columns = [COMPONENTS.index(name) for name in measured.components]
-            rows = [self.channel_names.index(name) for name in measured.channel_names]
-            value[:, np.array(rows)[:, None], columns] = interpolate_values(measured, frequency, self.interpolation)
-        return value
-
-    def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
-        """Return the sum over the responses of f' cov(loads) f* times the covariance of the channels.
-
-        Each response was measured by itself, so that their errors are independent.
-        """
-        count = len(self.channel_names)
-        total = np.zeros((len(frequency), count, count), complex)
-        for measured in self.responses:
-            columns = [COMPONENTS.index(name) for name in measured.components]
-            rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
-            at = interpolate_with_error(measured, frequency, self.interpolation)
-            f = loads[:, columns]
-            scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.load_covariance, f))
-            total[:, rows[:, None], rows] += scale[:, None, None] * at.channel_covariance
-        return circular_real(total)
-
-
-@dataclass(frozen=True)
 class StaticSource(ResponseWithoutModel):
     """The static matrix C0 at every frequency, as if the balance had no dynamics."""
 
@@ -257,27 +199,6 @@ def load_scale(hub: Sequence[float]) -> Array:
     """Return factors (6,) [1, 1/m] that make moments comparable with forces: 1 and one over the height of the hub."""
     arm = moment_reference_length(hub)
     return np.array([1.0, 1.0, 1.0, 1.0 / arm, 1.0 / arm, 1.0 / arm])
-
-
-def highest_frequency(source: ResponseSource) -> float:
-    """Return the highest frequency [Hz] at which a response is known: the last measured line, infinite for a model."""
-    if not isinstance(source, TransferSource):
-        return float("inf")
-    return min(float(measured.frequency[-1]) for measured in source.responses)
-
-
-def lowest_frequency(source: ResponseSource) -> float:
-    """Return the lowest frequency [Hz] at which a response is known: the first measured line, no end for a model."""
-    if not isinstance(source, TransferSource):
-        return -float("inf")
-    return max(float(measured.frequency[0]) for measured in source.responses)
-
-
-def transfer_source(transfer: Transfer, interpolation: str) -> ResponseSource:
-    """Return the measured responses, for each component that of the highest level."""
-    components = dict.fromkeys(name for response in transfer.responses for name in response.components)
-    responses = tuple(response_to_component(transfer, name) for name in components)
-    return TransferSource(transfer.geometry.channel_names, responses, interpolation)
 
 
 def static_source(calibration: Calibration) -> ResponseSource:

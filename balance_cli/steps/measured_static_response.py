@@ -10,7 +10,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
-from balance_cli.reduction.response_sources import TransferSource
+from balance_cli.reduction.measured_response import TransferSource
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]

@@ -18,7 +18,8 @@ from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.coarse_zero import coarse_zero, join_zeros
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
-from balance_cli.reduction.response_sources import ResponseSource, highest_frequency
+from balance_cli.reduction.measured_response import highest_frequency
+from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads, TimeDomainResult
 from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth

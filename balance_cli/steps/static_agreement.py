@@ -20,7 +20,8 @@ from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.diagnosis.consistency.findings import FAULT, STATIC_RESPONSE, WARNING, ConsistencyFinding
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, VOLT_UNITS, suggest_units
 from balance_cli.model.balance import balance_model
-from balance_cli.reduction.response_sources import ResponseSource, TransferSource
+from balance_cli.reduction.measured_response import TransferSource
+from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.steps.measured_static_response import measured_static_response
 
 Array = NDArray[np.float64]

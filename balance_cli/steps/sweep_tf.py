@@ -13,6 +13,7 @@ import numpy as np
 
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.signals.early_taps import prepend_rest
@@ -55,17 +56,15 @@ def estimate_responses(
     forces = {run.name: force for run in sweeps if (force := single_force(run)) is not None}
     points = [_point_force(force, live[name], estimator, band) for name, force in forces.items()]
     sweeps = [run for run in sweeps if run.name not in forces]
-    from_points, faults = _responses_from_points(points, bool(sweeps))
     periodic = [run for run in sweeps if _is_periodic(run, estimator)]
     records = [(run, periodic_record(run, live[run.name], band)) for run in periodic]
     nonperiodic = [run for run in sweeps if run not in periodic]
+    at_hub = _periodic_responses(records)
+    at_hub += [_nonperiodic_response(run, live[run.name], estimator, band) for run in nonperiodic]
+    responses, faults = _add_point_responses(at_hub, points)
     return Transfer(
         geometry=geometry,
-        responses=(
-            *_periodic_responses(records),
-            *(_nonperiodic_response(run, live[run.name], estimator, band) for run in nonperiodic),
-            *from_points,
-        ),
+        responses=tuple(responses),
         estimator=estimator,
         steady_parts={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
@@ -85,24 +84,45 @@ def _point_force(
     return PointForce(response, force.multiples)
 
 
-def _responses_from_points(
-    forces: Sequence[PointForce], others: bool
+def _add_point_responses(
+    at_hub: list[FrequencyResponse], forces: Sequence[PointForce]
 ) -> tuple[list[FrequencyResponse], dict[str, str]]:
-    """Responses to the hub loads that forces at points span, one for each rotor speed, and why runs give none.
+    """Add the responses to the hub loads that forces at points span, one for each rotor speed.
 
-    Raises UserError where they give none, and there are no `others`.
+    Also returned is why runs give none. Raises UserError where they give none, and there is no response at the hub.
     """
-    responses: list[FrequencyResponse] = []
+    responses = list(at_hub)
     faults: dict[str, str] = {}
     for speed in dict.fromkeys(force.response.rotor_speed for force in forces):
         members = [force for force in forces if force.response.rotor_speed == speed]
         try:
-            responses.append(combine_point_forces(members))
+            combined, used = _combine_forces(members, [item for item in at_hub if item.rotor_speed == speed])
         except UserError as error:
-            if not others:
+            if not at_hub:
                 raise
             faults |= {force.response.run: f"{error.fault}. {error.remedy}" for force in members}
+        else:
+            responses = [item for item in responses if not any(item is other for other in used)] + [combined]
     return responses, faults
+
+
+def _combine_forces(
+    forces: Sequence[PointForce], at_hub: Sequence[FrequencyResponse]
+) -> tuple[FrequencyResponse, list[FrequencyResponse]]:
+    """Combine forces at points, with responses to single hub loads where they do not span their loads by themselves.
+
+    The responses to hub loads that were used are returned, too. Raises UserError where these do not help either.
+    """
+    driven = np.any([force.multiples != 0.0 for force in forces], axis=0)
+    single = [item for item in at_hub if len(item.components) == 1 and driven[COMPONENTS.index(item.components[0])]]
+    try:
+        return combine_point_forces(forces), []
+    except UserError:
+        if not single:
+            raise
+    unit = np.eye(len(COMPONENTS))
+    hub_forces = [PointForce(item, unit[COMPONENTS.index(item.components[0])]) for item in single]
+    return combine_point_forces([*forces, *hub_forces]), single
 
 
 def _live_channels_by_run(

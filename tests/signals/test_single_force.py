@@ -18,6 +18,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.reduction.measured_response import transfer_source
 from balance_cli.signals.response.point_forces import PointForce, combine_point_forces
 from balance_cli.signals.response.transfer import Transfer, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
@@ -113,6 +114,29 @@ def test_forces_that_span_the_hub_loads_give_their_responses():
     assert 0.8 < np.mean(np.abs(found.response - truth[:, rows]) ** 2 / variance.real) < 1.25
     with pytest.raises(UserError, match="4 forces at points drove 5 hub loads in 4 combinations: nothing drove"):
         estimate_responses(runs[:4], other_rig("A"))
+
+
+def test_sweeps_of_single_hub_loads_complete_the_forces_at_points():
+    """Two forces along z at points drive Fz, Mx and My; the third combination is Fz alone, from a sweep at the hub."""
+    geometry, z = other_rig("A"), np.array([0.0, 0.0, 1.0])
+    beside = [
+        swept_at_a_point(0.1, True, seed, np.array(at), z) for seed, at in enumerate([[0.2, 0.1, 0], [-0.1, 0.2, 0]])
+    ]
+    at_hub = swept_at_a_point(0.1, True, 7, np.array(geometry.hub), z)
+    assert single_force(at_hub) is None
+    with pytest.raises(UserError, match="2 forces at points drove 3 hub loads"):
+        estimate_responses(beside, geometry)
+    transfer = estimate_responses([*beside, at_hub], geometry)
+    (found,) = transfer.responses
+    assert found.components == ("Fz", "Mx", "My") and not transfer.unused_runs
+    truth = true_response(true_rig(geometry), found.frequency)
+    rows = [geometry.channel_names.index(name) for name in found.channel_names]
+    columns = [HUB_LOADS.index(name) for name in found.components]
+    variance = np.einsum("kcc,kuu->kcu", found.channel_covariance, found.load_covariance).real
+    error = found.response - truth[:, rows][:, :, columns]
+    assert 0.6 < np.mean(np.abs(error) ** 2 / variance) < 1.6
+    with pytest.raises(UserError, match="no response to Fx, Fy, Mz was measured"):
+        transfer_source(transfer, "local")
 
 
 def test_forces_of_records_of_several_lengths_are_interpolated():

@@ -11,8 +11,9 @@ from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import STANDARD_GRAVITY
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.measured_response import transfer_source
 from balance_cli.reduction.model_sources import model_source
-from balance_cli.reduction.response_sources import transfer_source
+from balance_cli.signals.response.transfer import select_channels
 from balance_cli.simulation import Noise, simulate_campaign, true_rig
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -115,6 +116,23 @@ def test_campaign_agrees_with_its_model_and_its_measured_responses(campaign, ide
     assert static_findings(calibration, measured, campaign.geometry) == ()
     fault, *_ = static_findings(scale(calibration, STANDARD_GRAVITY), measured, campaign.geometry)
     assert fault.is_fault
+
+
+def test_a_channel_without_a_response_to_some_load_is_left_out_of_measured_responses(campaign, calibration):
+    """Dead in one sweep of Fx, that of another level serves; dead in all, no load is computed from the channel."""
+    transfer = estimate_responses([run for run in campaign.runs if run.kind == "sweep"], campaign.geometry)
+
+    (swept,) = (item for item in transfer.responses if item.components == ("Fx",))
+    others = tuple(item for item in transfer.responses if item is not swept)
+    live = tuple(name for name in campaign.geometry.channel_names if name != "z1.strain")
+    dead = replace(select_channels(swept, live), level=(2.0 * swept.level[0],))
+    once, twice = (
+        transfer_source(replace(transfer, responses=(*others, *sweeps)), "local") for sweeps in ((dead, swept), (dead,))
+    )
+    assert once.channel_names == campaign.geometry.channel_names and not once.channels_left_out
+    assert twice.channels_left_out == {"z1.strain": "its response to Fx was not measured"}
+    assert twice.at(np.array([20.0]), 0.0).shape[1] == len(campaign.geometry.channel_names) - 1
+    assert static_findings(calibration, twice, campaign.geometry) == ()
 
 
 def test_loads_of_contradicting_calibrations_are_flagged_or_refused(campaign, identified, calibration):

@@ -17,6 +17,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
 from balance_cli.signals.response.interpolation_error import interpolate_with_error
 from balance_cli.signals.response.periodic_response import LARGEST_LOAD_CONDITION, run_difference_ratio
+from balance_cli.signals.response.transfer import select_channels
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
@@ -112,7 +113,7 @@ def _coherences(responses: list[FrequencyResponse], A: Array) -> tuple[Array, Ar
 def _at_common_lines(responses: list[FrequencyResponse]) -> list[FrequencyResponse]:
     """Return the responses of the channels that all have at the lines of the coarsest record."""
     channels = [name for name in responses[0].channel_names if all(name in item.channel_names for item in responses)]
-    responses = [_select_channels(response, channels) for response in responses]
+    responses = [select_channels(response, channels) for response in responses]
     coarsest = max(responses, key=lambda item: _step(item.frequency))
     covered = common = coarsest.frequency
     for item in responses:
@@ -124,18 +125,6 @@ def _at_common_lines(responses: list[FrequencyResponse]) -> list[FrequencyRespon
         fault = "the records of forces at points have no frequencies in common"
         raise UserError(fault, f"runs {runs}", remedy="Use records of one sample rate and of like lengths")
     return [_select_lines(item, lines) if lines is common else _interpolate(item, lines) for item in responses]
-
-
-def _select_channels(response: FrequencyResponse, channels: Sequence[str]) -> FrequencyResponse:
-    rows = [response.channel_names.index(name) for name in channels]
-    return replace(
-        response,
-        channel_names=tuple(channels),
-        response=response.response[:, rows],
-        channel_covariance=response.channel_covariance[:, rows][:, :, rows],
-        coherence=response.coherence[:, rows],
-        multiple_coherence=response.multiple_coherence[:, rows],
-    )
 
 
 def _step(frequency: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -110,6 +110,7 @@ def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
 def response_to_component(transfer: Transfer, component: str) -> FrequencyResponse:
     """Return the response to one component at its highest level; of several, that of least sigma.
 
+    Responses of fewer channels than another one to this component are not used.
     Raises UserError where no sweep excited that component.
     """
     candidates = [
@@ -117,6 +118,8 @@ def response_to_component(transfer: Transfer, component: str) -> FrequencyRespon
     ]
     if not candidates:
         raise UserError(f"there is no measured response to {component}", remedy="Include a sweep that excites it")
+    most = max(len(response.channel_names) for response in candidates)
+    candidates = [response for response in candidates if len(response.channel_names) == most]
     levels = [response.level[0] for response in candidates if np.isfinite(response.level[0])]
     target = max(levels, default=float("nan"))
     at_level = [response for response in candidates if np.isclose(response.level[0], target, equal_nan=True)]
@@ -133,6 +136,19 @@ def select_component(response: FrequencyResponse, component: str) -> FrequencyRe
         load_covariance=response.load_covariance[:, j : j + 1, j : j + 1],
         coherence=response.coherence[:, :, j : j + 1],
         level=(response.level[j] if len(response.level) == len(response.components) else float("nan"),),
+    )
+
+
+def select_channels(response: FrequencyResponse, channels: Sequence[str]) -> FrequencyResponse:
+    """Return the rows of some of the channels of a response, in the order of `channels`."""
+    rows = [response.channel_names.index(name) for name in channels]
+    return replace(
+        response,
+        channel_names=tuple(channels),
+        response=response.response[:, rows],
+        channel_covariance=response.channel_covariance[:, rows][:, :, rows],
+        coherence=response.coherence[:, rows],
+        multiple_coherence=response.multiple_coherence[:, rows],
     )
 
 

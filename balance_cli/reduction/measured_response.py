@@ -1,0 +1,130 @@
+"""Measured responses as the response of a reduction: one for each load, of the channels that all of them have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.estimation.response_error import ResponseError
+from balance_cli.io.errors import UserError
+from balance_cli.model.plate import carried_components
+from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
+from balance_cli.reduction.response_sources import (
+    ASSUMED_DECAY,
+    ChannelCombination,
+    ResponseSource,
+    ResponseWithoutModel,
+    circular_real,
+    select_channels,
+)
+from balance_cli.signals.response.interpolation import interpolate_values
+from balance_cli.signals.response.interpolation_error import interpolate_with_error
+from balance_cli.signals.response.transfer import Transfer, response_to_component
+from balance_cli.signals.response.transfer import select_channels as select_response_channels
+from balance_cli.signals.run_spectrum import FrequencyResponse
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class TransferSource(ResponseWithoutModel):
+    """Measured responses, one per component, interpolated by one of `choices.INTERPOLATIONS`.
+
+    All have the channels `channel_names`. `channels_left_out` {channel: reason} are those that some of them lack.
+    """
+
+    channel_names: tuple[str, ...]
+    responses: tuple[FrequencyResponse, ...]
+    interpolation: str
+    slowest_decay: float = ASSUMED_DECAY
+    channels_left_out: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def response_error(self) -> ResponseError | None:
+        """None: what was measured contains the error that it has."""
+        return None
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Never: what was measured contains the error that it has."""
+        return False
+
+    @property
+    def description(self) -> str:
+        """That it was measured, and how it is interpolated."""
+        return response_text(ResponseDescription(ResponseKind.MEASURED, interpolation=self.interpolation))
+
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
+        """Return the rows, which are the channels."""
+        return select_channels(self.channel_names, live, len(frequency))
+
+    def at(self, frequency: Array, spin: float) -> ComplexArray:
+        """Return T, interpolated between the measured lines column by column."""
+        value = np.zeros((len(frequency), len(self.channel_names), 6), complex)
+        for measured in self.responses:
+            columns = [COMPONENTS.index(name) for name in measured.components]
+            rows = [self.channel_names.index(name) for name in measured.channel_names]
+            value[:, np.array(rows)[:, None], columns] = interpolate_values(measured, frequency, self.interpolation)
+        return value
+
+    def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
+        """Return the sum over the responses of f' cov(loads) f* times the covariance of the channels.
+
+        Each response was measured by itself, so that their errors are independent.
+        """
+        count = len(self.channel_names)
+        total = np.zeros((len(frequency), count, count), complex)
+        for measured in self.responses:
+            columns = [COMPONENTS.index(name) for name in measured.components]
+            rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
+            at = interpolate_with_error(measured, frequency, self.interpolation)
+            f = loads[:, columns]
+            scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.load_covariance, f))
+            total[:, rows[:, None], rows] += scale[:, None, None] * at.channel_covariance
+        return circular_real(total)
+
+
+def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
+    """Return the measured responses, for each component that of the highest level, of the channels that all have.
+
+    Raises UserError where a component that the rig carries was not excited in any sweep.
+    """
+    components = dict.fromkeys(name for response in transfer.responses for name in response.components)
+    unmeasured = [name for name in carried_components(transfer.geometry) if name not in components]
+    if unmeasured:
+        raise UserError(
+            f"no response to {', '.join(unmeasured)} was measured, which the rig carries, too",
+            place="responses",
+            remedy="Add sweeps that excite these loads to `balance sweep-tf`, or reduce by a model",
+        )
+    measured = {name: response_to_component(transfer, name) for name in components}
+    lacking = {
+        channel: [name for name, response in measured.items() if channel not in response.channel_names]
+        for channel in transfer.geometry.channel_names
+    }
+    channels = tuple(channel for channel, loads in lacking.items() if not loads)
+    reasons = {channel: f"its response to {', '.join(loads)} was not measured" for channel, loads in lacking.items()}
+    return TransferSource(
+        channels,
+        tuple(select_response_channels(response, channels) for response in measured.values()),
+        interpolation,
+        channels_left_out={channel: reason for channel, reason in reasons.items() if lacking[channel]},
+    )
+
+
+def highest_frequency(source: ResponseSource) -> float:
+    """Return the highest frequency [Hz] at which a response is known: the last measured line, infinite for a model."""
+    if not isinstance(source, TransferSource):
+        return float("inf")
+    return min(float(measured.frequency[-1]) for measured in source.responses)
+
+
+def lowest_frequency(source: ResponseSource) -> float:
+    """Return the lowest frequency [Hz] at which a response is known: the first measured line, no end for a model."""
+    if not isinstance(source, TransferSource):
+        return -float("inf")
+    return max(float(measured.frequency[0]) for measured in source.responses)
