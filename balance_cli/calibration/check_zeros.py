@@ -48,8 +48,8 @@ def zeros_of_run(unloaded: Array, tare: Mask, noise: Array, dof: float) -> Check
     last = tare & ~np.r_[tare[1:], False]
     within = last & np.r_[False, tare[:-1]]  # a return of several rows closes one series and opens another
     possible = {"before": opens, "after": np.cumsum(np.r_[False, last[:-1]]), "before and after": np.cumsum(within)}
-    found = {side: _assigned(unloaded, tare, series, noise, side) for side, series in possible.items()}
-    return min(found.values(), key=lambda zero: float(np.sum((unloaded - zero.readings)[~tare] ** 2 / noise)))
+    zeros_by_side = {side: _assigned(unloaded, tare, series, noise, side) for side, series in possible.items()}
+    return min(zeros_by_side.values(), key=lambda zero: float(np.sum((unloaded - zero.readings)[~tare] ** 2 / noise)))
 
 
 def _assigned(unloaded: Array, tare: Mask, series: Index, noise: Array, side: str) -> CheckZero:

@@ -185,7 +185,7 @@ def _selection_t(
     Which of several similar terms (`Fx^2`, `|Fx|`) a search selects, and whether it selects a weak one, is certain only
     as far as their responses differ by more than the noise of a reading, which the standard deviation contains.
     """
-    found = {}
+    t_values = {}
     for channel in names:
         for name in terms:
             selected = [name in model.channel_coefficients(channel) for model in (new, old)]
@@ -198,8 +198,8 @@ def _selection_t(
             ]
             variance = np.sum(variances, axis=0) + np.sum(noise)
             ratio = (values[0] - values[1]) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-            found[channel, name] = float(ratio[np.argmax(np.abs(ratio))]) if np.any(variances) else float("nan")
-    return found
+            t_values[channel, name] = float(ratio[np.argmax(np.abs(ratio))]) if np.any(variances) else float("nan")
+    return t_values
 
 
 def _series_of_term(model: CalibrationModel, name: str) -> Array:

@@ -148,16 +148,16 @@ def _fixed_terms(points: CalibrationPoints, choice: TermChoice, terms: Sequence[
 
     Raises UserError where the rows do not determine so many coefficients.
     """
-    chosen = []
+    terms_by_channel = []
     for channel in points.channel_names:
         own = choice.of_channel(channel, points.components)
-        chosen.append(tuple(place for place, term in enumerate(terms) if term in own))
+        terms_by_channel.append(tuple(place for place, term in enumerate(terms) if term in own))
     rows, zeros = int(np.count_nonzero(points.weight > 0)), len(np.unique(points.load_series[points.weight > 0]))
-    most = max(map(len, chosen))
+    most = max(map(len, terms_by_channel))
     if rows - zeros <= most:
         fault = f"{rows} load points in {zeros} load series do not determine {most} terms of a channel"
         raise UserError(fault, place="--terms", remedy="Apply more load points, or give fewer terms")
-    return chosen
+    return terms_by_channel
 
 
 def refit_terms(points: CalibrationPoints, model: CalibrationModel) -> CalibrationModelFit:

@@ -40,10 +40,10 @@ def _gains(channels: Array, errors: Array, noise: Array) -> Array:
     change = channels - channels.mean(axis=0)
     predicted = change - (errors - errors.mean(axis=0))
     power = np.maximum(np.sum(predicted**2, axis=0), np.finfo(float).tiny)
-    found = np.column_stack([np.sum(predicted * change, axis=0) / power - 1.0, noise / np.sqrt(power)])
+    gains = np.column_stack([np.sum(predicted * change, axis=0) / power - 1.0, noise / np.sqrt(power)])
     # The misfit of a model follows the load, and does not average out over the rows.
     size = noise / np.sqrt(power / len(change))
-    return np.asarray(found[np.isfinite(found).all(axis=1) & (size < MAX_GAIN_SIGMA)])
+    return np.asarray(gains[np.isfinite(gains).all(axis=1) & (size < MAX_GAIN_SIGMA)])
 
 
 def _scatter(gains: list[Array]) -> float:

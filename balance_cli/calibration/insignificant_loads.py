@@ -59,14 +59,14 @@ def fit_with_curvature(rows: TrimRows, components: Sequence[str]) -> TrimRegress
 
 def _independent_columns(basis: Array, centered: Array, columns: Array) -> Array:
     """Those columns (m, q) that, less their block means, are not combinations of the basis and of earlier ones."""
-    kept, spanned = [], basis
+    independent, spanned = [], basis
     for place in range(columns.shape[1]):
         column = centered[:, place]
         left = column - spanned @ np.linalg.lstsq(spanned, column, rcond=None)[0]
         if np.linalg.norm(left) > MIN_COLUMN_SHARE * np.linalg.norm(columns[:, place]):
-            kept.append(place)
+            independent.append(place)
             spanned = np.column_stack([spanned, column])
-    return columns[:, kept]
+    return columns[:, independent]
 
 
 MIN_COLUMN_SHARE = 1e-3

@@ -99,10 +99,10 @@ def _unit(table: TextTable, line: int, head: str, below: str, is_load: bool) -> 
         raise table.error(line, head, error.fault, error.remedy) from None
 
 
-def _check_complete(table: TextTable, found: Sequence[str], components: Sequence[str]) -> None:
+def _check_complete(table: TextTable, names: Sequence[str], components: Sequence[str]) -> None:
     for name in components:
-        if found.count(name) != 1:
-            fault = f"has component `{name}` {found.count(name)} times"
+        if names.count(name) != 1:
+            fault = f"has component `{name}` {names.count(name)} times"
             raise UserError(fault, str(table.path), remedy=f"Give each of {', '.join(components)} once")
 
 

@@ -114,14 +114,14 @@ def _open_questions(schedule: LoadSchedule) -> Iterator[str]:
             yield f"{name} is varied in one load series only: no other series can confirm its coefficients."
         if schedule.inflation[j] > HIGH_INFLATION:
             yield f"{name} is nearly a combination of the other loads (variance inflation {schedule.inflation[j]:.0f})."
-    apart = [
+    never_together = [
         f"{names[i]} {names[j]}"
         for i in range(len(names))
         for j in range(i + 1, len(names))
         if not schedule.together[i, j]
     ]
-    if apart:
-        yield f"Never applied together, so that their interaction is not known: {', '.join(apart)}."
+    if never_together:
+        yield f"Never applied together, so that their interaction is not known: {', '.join(never_together)}."
     if schedule.series_count == 1:
         yield "There is one load series: its zero cannot be checked, and no series can be left out to test the model."
 

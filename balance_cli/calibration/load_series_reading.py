@@ -93,25 +93,25 @@ def read_load_series(rows: ScheduleRows) -> SeriesReading:
     misplaced = find_misplaced_loads(used)
     reading = _read_used_rows(used if misplaced is None else replace(used, x=misplaced.x))
     before = np.clip(np.searchsorted(at, np.arange(len(rows.x)), side="right") - 1, 0, None)
-    found = () if misplaced is None else tuple(at[list(misplaced.rows)].tolist())
-    return SeriesReading(reading.load_series[before], reading.notes, found)
+    misplaced_rows = () if misplaced is None else tuple(at[list(misplaced.rows)].tolist())
+    return SeriesReading(reading.load_series[before], reading.notes, misplaced_rows)
 
 
 def _read_used_rows(rows: ScheduleRows) -> SeriesReading:
     by_segment = {
         number: _candidates(rows, np.flatnonzero(rows.segment == number)) for number in np.unique(rows.segment).tolist()
     }
-    chosen = {number: candidates[0] for number, candidates in by_segment.items()}
+    selection = {number: candidates[0] for number, candidates in by_segment.items()}
     open_segments = [number for number, candidates in by_segment.items() if len(candidates) > 1]
     decided: dict[int, float] = {}
     if open_segments:
-        chosen, decided = _choose_readings(rows, by_segment, chosen)
-    load_series = _number_series(rows, chosen)
+        selection, decided = _choose_readings(rows, by_segment, selection)
+    load_series = _number_series(rows, selection)
     if not any(rows.stated) and not determines_loads(
         rows.x[rows.used], load_series[rows.used], rows.segment[rows.used]
     ):
         return SeriesReading(np.unique(rows.segment, return_inverse=True)[1].astype(np.intp), ())
-    return SeriesReading(load_series, tuple(_reading_notes(rows, chosen, open_segments, decided)))
+    return SeriesReading(load_series, tuple(_reading_notes(rows, selection, open_segments, decided)))
 
 
 def _candidates(rows: ScheduleRows, at: Index) -> list[_Candidate]:
@@ -189,10 +189,10 @@ def _split_at_changes(x: Array, local: Index) -> Index:
     return np.asarray(np.r_[0, np.cumsum(ends)], np.intp)
 
 
-def _number_series(rows: ScheduleRows, chosen: dict[int, _Candidate]) -> Index:
+def _number_series(rows: ScheduleRows, selection: dict[int, _Candidate]) -> Index:
     """Number (m,) of the load series of each row, counted over all segments."""
     load_series, first = np.zeros(len(rows.x), np.intp), 0
-    for number, candidate in chosen.items():
+    for number, candidate in selection.items():
         load_series[rows.segment == number] = first + candidate.local
         first += int(candidate.local.max()) + 1
     return load_series
@@ -217,38 +217,38 @@ def _choose_readings(
     scorer = ReadingScore(rows, numbered)
     scores = [scorer.score(series) for series in numbered]
     split = range(len(scores) - len(_SPLIT_DIRECTIONS), len(scores))
-    whole = numbered[int(np.argmin(scores[: split.start]))]
+    unsplit = numbered[int(np.argmin(scores[: split.start]))]
     for place in split:
-        scores[place] = scores[place] if scorer.is_general(whole, numbered[place]) else float("inf")
+        scores[place] = scores[place] if scorer.is_general(unsplit, numbered[place]) else float("inf")
     best = int(np.argmin(scores))
-    chosen = common[best] if scores[best] < scores[0] - DECISIVE_SCORE_DIFFERENCE else default
+    selection = common[best] if scores[best] < scores[0] - DECISIVE_SCORE_DIFFERENCE else default
     decided: dict[int, float] = {}
     for number, possible in by_segment.items():
         # A wrong gain in one segment resembles a shifted zero between its two directions: all segments must show it.
-        candidates = [each for each in possible if each.position not in _SPLIT_DIRECTIONS or each is chosen[number]]
+        candidates = [each for each in possible if each.position not in _SPLIT_DIRECTIONS or each is selection[number]]
         if len(candidates) < 2:
             continue
-        alone = np.array([scorer.score(_number_series(rows, {**chosen, number: each})) for each in candidates])
+        alone = np.array([scorer.score(_number_series(rows, {**selection, number: each})) for each in candidates])
         order = np.argsort(alone)
-        taken = next(i for i, each in enumerate(candidates) if each is chosen[number])
+        taken = next(i for i, each in enumerate(candidates) if each is selection[number])
         if alone[order[0]] < alone[taken] - DECISIVE_SCORE_DIFFERENCE:
             taken = int(order[0])
-            chosen = {**chosen, number: candidates[taken]}
+            selection = {**selection, number: candidates[taken]}
         margin = float(np.min(np.delete(alone, taken)) - alone[taken])
         if margin > DECISIVE_SCORE_DIFFERENCE:
             decided[number] = margin
-    return chosen, decided
+    return selection, decided
 
 
 def _reading_notes(
-    rows: ScheduleRows, chosen: dict[int, _Candidate], open_segments: Sequence[int], decided: dict[int, float]
+    rows: ScheduleRows, selection: dict[int, _Candidate], open_segments: Sequence[int], decided: dict[int, float]
 ) -> Iterator[str]:
     """How the tare points were read, for each run in which that was open."""
     runs: dict[tuple[str, str], list[str]] = {}
     for number in open_segments:
         name = rows.run_names[rows.run[np.argmax(rows.segment == number)]]
         how = "the readings decide it" if number in decided else "the zeros differ too little to decide it"
-        names = runs.setdefault((_POSITION_WORDS[chosen[number].position], how), [])
+        names = runs.setdefault((_POSITION_WORDS[selection[number].position], how), [])
         names += [] if name in names else [name]
     for (words, how), names in runs.items():
         yield f"{', '.join(names)}: {words}; {how}"

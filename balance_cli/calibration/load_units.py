@@ -37,14 +37,14 @@ def doubtful_units(trim: TrimCalibration, units: tuple[str, ...]) -> Iterator[st
                 )
     response = np.linalg.norm(trim.C0 / np.sqrt(np.diag(trim.noise_covariance))[:, None], axis=0)
     for j, name in enumerate(trim.components):
-        alike = [i for i, unit in enumerate(units) if unit == units[j] and i != j]
+        same_unit = [i for i, unit in enumerate(units) if unit == units[j] and i != j]
         is_rated = trim.rated_load is not None and bool(np.isfinite(trim.rated_load[j]))
-        ratios = response[j] / response[alike]
-        if is_rated or len(alike) < 2 or not (np.all(ratios > UNIT_RATIO) or np.all(ratios < 1.0 / UNIT_RATIO)):
+        ratios = response[j] / response[same_unit]
+        if is_rated or len(same_unit) < 2 or not (np.all(ratios > UNIT_RATIO) or np.all(ratios < 1.0 / UNIT_RATIO)):
             continue
         ratio = float(np.median(ratios))
         way = "larger" if ratio > 1.0 else "smaller"
-        others = ", ".join(trim.components[i] for i in alike)
+        others = ", ".join(trim.components[i] for i in same_unit)
         yield (
             f"the channels respond to a {units[j]} of {name} by a factor of {max(ratio, 1.0 / ratio):.3g} {way} "
             f"than to one of {others}: is the unit of {name} right? Declare `rated_loads` in the geometry"

@@ -84,18 +84,21 @@ def _row_name(cell: str) -> str:
 
 
 def _check_format(number: int, cells: Sequence[str]) -> None:
-    found = cells[0]
-    if found == FORMAT:
+    first_cell = cells[0]
+    if first_cell == FORMAT:
         return
     place = f"line {number}"
-    if found.rstrip(";") == FORMAT:
+    if first_cell.rstrip(";") == FORMAT:
         fault, remedy = "is separated by semicolons", SEMICOLON_REMEDY
-    elif found == READABLE_FORMAT:
+    elif first_cell == READABLE_FORMAT:
         fault, remedy = "is the text for reading, which is rounded", "Give the matrix as .csv"
-    elif found.startswith("balance-matrix/"):
-        fault, remedy = f"is of format `{found[:40]}`, where `{FORMAT}` was expected", "Write it in that layout"
+    elif first_cell.startswith("balance-matrix/"):
+        fault, remedy = f"is of format `{first_cell[:40]}`, where `{FORMAT}` was expected", "Write it in that layout"
     else:
-        fault, remedy = f"begins with `{found[:40]}`, where `{FORMAT}` was expected", "Give a matrix in that layout"
+        fault, remedy = (
+            f"begins with `{first_cell[:40]}`, where `{FORMAT}` was expected",
+            "Give a matrix in that layout",
+        )
     raise UserError(fault, place=place, remedy=remedy)
 
 

@@ -91,15 +91,15 @@ def _rows_of_largest_errors(x: Array, channels: Array, block: Index) -> list[int
     return sorted(np.argsort(-size, kind="stable")[:MOST_TRIED_ROWS].tolist())
 
 
-def _trials(rows: ScheduleRows, tried: list[int]) -> list[tuple[int, ...]]:
+def _trials(rows: ScheduleRows, rows_to_test: list[int]) -> list[tuple[int, ...]]:
     """Rows that may have been exchanged, and rows that may have the wrong sign."""
     x = rows.x
     pairs = [
         (i, j)
-        for i, j in combinations(tried, 2)
+        for i, j in combinations(rows_to_test, 2)
         if rows.run[i] == rows.run[j] and np.max(np.abs(x[i] - x[j])) > MIN_DIFFERENCE
     ]
-    return [*pairs, *((i,) for i in tried if np.max(np.abs(x[i])) > MIN_DIFFERENCE)]
+    return [*pairs, *((i,) for i in rows_to_test if np.max(np.abs(x[i])) > MIN_DIFFERENCE)]
 
 
 def _undo(x: Array, trial: tuple[int, ...]) -> Array:

@@ -164,11 +164,15 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     if alone is not None:
         return alone
     without = points.exclude_rows(gross)
-    fit, whole = fit_calibration_model(without, choice), fit_calibration_model(points, choice)
-    outlying, _ = _outlying_rows(points, whole, int(np.count_nonzero(gross)))
+    fit, fit_to_all = fit_calibration_model(without, choice), fit_calibration_model(points, choice)
+    outlying, _ = _outlying_rows(points, fit_to_all, int(np.count_nonzero(gross)))
     # In a short series a wrong row makes another one stand out: then all must agree without the wrong one.
     is_explained = not (outlying & gross).any() and not (outlying.any() and _largest_outlier(without, fit) is None)
-    return none if is_explained and _scale(points, whole, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross) else gross
+    return (
+        none
+        if is_explained and _scale(points, fit_to_all, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross)
+        else gross
+    )
 
 
 def _single_outlier(points: CalibrationPoints, choice: TermChoice, gross: Mask) -> Mask | None:

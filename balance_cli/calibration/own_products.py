@@ -71,13 +71,13 @@ def _explaining_terms(
     for name in channels:
         c = model.channel_names.index(name)
         largest = float(np.max(np.abs(model.coefficients[:k, c])))
-        found = {model.terms[place]: abs(model.coefficients[place, c]) / largest for place in own}
-        found = {term: float(size) for term, size in found.items() if size > 0.0}
+        shares = {model.terms[place]: abs(model.coefficients[place, c]) / largest for place in own}
+        shares = {term: float(size) for term, size in shares.items() if size > 0.0}
         sigma = float(np.sqrt(model.residual_covariance[c, c]))
         is_fitted = float(np.sqrt(np.mean(fit.residuals[rows, c] ** 2))) <= MAX_RESIDUAL_RATIO * sigma
-        if not found or not is_fitted or max(found.values()) > MAX_PRODUCT:
+        if not shares or not is_fitted or max(shares.values()) > MAX_PRODUCT:
             return {}
-        sizes |= {term: max(size, sizes.get(term, 0.0)) for term, size in found.items()}
+        sizes |= {term: max(size, sizes.get(term, 0.0)) for term, size in shares.items()}
     return sizes
 
 

@@ -137,28 +137,28 @@ def _best_predictor(
     if selected != linear:
         without = rows.prediction_error(linear)
         selected, error = (linear, without) if without < error else (selected, error)
-    whole = tuple(sorted({*linear, *family}))
-    if not family or _family_p_value(normal, selected, whole, linear) > rows.significance:
+    complete = tuple(sorted({*linear, *family}))
+    if not family or _family_p_value(normal, selected, complete, linear) > rows.significance:
         return selected
-    if normal.rows_less_zeros < ROWS_PER_FAMILY_COLUMN * len(whole):
+    if normal.rows_less_zeros < ROWS_PER_FAMILY_COLUMN * len(complete):
         return selected
-    if np.max(normal.inflation(whole)) > MAX_VARIANCE_INFLATION:
+    if np.max(normal.inflation(complete)) > MAX_VARIANCE_INFLATION:
         return selected
-    return whole if rows.prediction_error(whole) < MIN_FAMILY_GAIN * error else selected
+    return complete if rows.prediction_error(complete) < MIN_FAMILY_GAIN * error else selected
 
 
 def _family_p_value(
-    normal: TermNormalEquations, selected: tuple[int, ...], whole: tuple[int, ...], linear: tuple[int, ...]
+    normal: TermNormalEquations, selected: tuple[int, ...], complete: tuple[int, ...], linear: tuple[int, ...]
 ) -> float:
     """p-value of what a whole family explains beyond the selected columns, or the linear ones where it lacks some.
 
     Load series that are left out are few: they can be predicted better by chance.
     """
-    within = selected if set(selected) < set(whole) else linear
-    terms, dof = len(whole) - len(within), normal.rows_less_zeros - len(whole)
+    within = selected if set(selected) < set(complete) else linear
+    terms, dof = len(complete) - len(within), normal.rows_less_zeros - len(complete)
     if terms == 0 or dof < MIN_DOF:
         return 1.0
-    residual = normal.residual(whole)
+    residual = normal.residual(complete)
     return _p_value(normal.residual(within) - residual, residual, dof, terms)
 
 
@@ -177,7 +177,7 @@ def _search_stepwise(
 ) -> list[int]:
     """Add, replace and remove terms until the model no longer changes."""
     selected = list(range(linear_count))
-    seen = {tuple(selected)}
+    visited = {tuple(selected)}
     for _ in range(MAX_SELECTION_STEPS):
         if normal.rows_less_zeros - len(selected) < MIN_DOF:
             break
@@ -188,9 +188,9 @@ def _search_stepwise(
             break
         selected = _replace_sequentially(normal, [*selected, *new], linear_count)
         selected = _eliminate_backward(normal, selected, linear_count, level)
-        if tuple(sorted(selected)) in seen:
+        if tuple(sorted(selected)) in visited:
             break
-        seen.add(tuple(sorted(selected)))
+        visited.add(tuple(sorted(selected)))
     return sorted(selected)
 
 

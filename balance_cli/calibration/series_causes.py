@@ -56,13 +56,13 @@ def series_cause(model: CalibrationModel, points: CalibrationPoints, rows: Mask)
 
 def _exchanged_channels(names: Sequence[str], change: Array, predicted: Array, sigma: Array) -> list[tuple[float, str]]:
     """What is left of the readings with each two channels exchanged, and the mistake in words."""
-    found = []
+    causes = []
     for i, j in combinations(range(len(names)), 2):
         restored = change.copy()
         restored[:, [i, j]] = change[:, [j, i]]
         left = float(np.linalg.norm((restored - predicted) / sigma))
-        found.append((left, f"its channels {names[i]} and {names[j]} seem to be exchanged"))
-    return found
+        causes.append((left, f"its channels {names[i]} and {names[j]} seem to be exchanged"))
+    return causes
 
 
 def _centered(readings: Array) -> Array:

@@ -143,10 +143,10 @@ def estimate_temperature_terms(rows: TemperatureRows, robust: bool = False) -> T
         problem = _Problem(
             rows.columns[channel], candidates, rows.channels[:, channel], rows.load_series, weight, theta
         )
-        found = _fit_channel(problem, level)
-        coefficients[:, channel], covariance[channel] = found
+        estimate = _fit_channel(problem, level)
+        coefficients[:, channel], covariance[channel] = estimate
         with np.errstate(divide="ignore", invalid="ignore"):
-            t[:, channel] = found[0] / np.sqrt(np.diag(found[1]))
+            t[:, channel] = estimate[0] / np.sqrt(np.diag(estimate[1]))
     return TemperatureTerms(
         rows.channel_names,
         rows.components,
@@ -217,15 +217,15 @@ def _any_significant(problem: _Problem, terms: Sequence[int], level: float) -> b
     """Whether one of the candidates is significant by itself, or all together, beside the other columns."""
     if not terms:
         return False
-    p, whole = problem.columns.shape[1], problem.fit(terms)
-    if whole.dof < MIN_DOF:
+    p, full = problem.columns.shape[1], problem.fit(terms)
+    if full.dof < MIN_DOF:
         return False
     if any(problem.fit([term]).p_value[p, 0] < level for term in terms):
         return True
     none = problem.fit([])
-    gain = none.variance[0] * none.dof - whole.variance[0] * whole.dof
-    ratio = gain / len(terms) / max(float(whole.variance[0]), np.finfo(float).tiny)
-    return bool(stats.f.sf(max(ratio, 0.0), len(terms), whole.dof) < level)
+    gain = none.variance[0] * none.dof - full.variance[0] * full.dof
+    ratio = gain / len(terms) / max(float(full.variance[0]), np.finfo(float).tiny)
+    return bool(stats.f.sf(max(ratio, 0.0), len(terms), full.dof) < level)
 
 
 def _independent_candidates(problem: _Problem) -> list[int]:

@@ -38,10 +38,10 @@ def correlation_shrinkage(covariance: Array, dof: float) -> float:
 
 def weight_covariance(covariance: Array, dof: float) -> Array:
     """Covariance (c, c) with its variances moderated, and its correlations shrunk by their `correlation_shrinkage`."""
-    kept = 1.0 - correlation_shrinkage(covariance, dof)
+    weight = 1.0 - correlation_shrinkage(covariance, dof)
     variances = np.diag(covariance)
     growth = np.sqrt(moderated_variances(variances, dof) / np.where(variances > 0.0, variances, 1.0))
-    shrunk = kept * covariance + (1.0 - kept) * np.diag(variances)
+    shrunk = weight * covariance + (1.0 - weight) * np.diag(variances)
     return np.asarray(shrunk * growth[:, None] * growth)
 
 

@@ -29,10 +29,10 @@ def output_units(calibration: Calibration, tables: Sequence[LoadTable], asked: s
 
     components = load_components(calibration.geometry)
     try:
-        chosen = [parse_unit(text, FORCE, MOMENT) for text in (asked or "").split(",") if text.strip()]
+        units = [parse_unit(text, FORCE, MOMENT) for text in (asked or "").split(",") if text.strip()]
     except UserError as error:
         raise error.with_location("--load-units") from None
-    by_dimension = {unit.dimension: unit for unit in reversed(chosen)}
+    by_dimension = {unit.dimension: unit for unit in reversed(units)}
     in_table = next((table.load_units for table in tables if table.load_units), {})
     by_table = {unit.dimension: unit for unit in reversed(tuple(in_table.values()))}
     return {

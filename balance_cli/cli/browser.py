@@ -37,19 +37,19 @@ def print_pdf(html: str) -> bytes:
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             words.append("--no-sandbox")  # Chromium refuses to start its sandbox as root
         try:
-            made = subprocess.run(
+            process = subprocess.run(
                 [*words, f"--print-to-pdf={pdf}", page.as_uri()],
                 capture_output=True,
                 timeout=LONGEST_PRINT,
                 check=False,
             )
-            said = made.stderr.decode(errors="replace").strip().splitlines()[-1:]
+            message = process.stderr.decode(errors="replace").strip().splitlines()[-1:]
         except (OSError, subprocess.TimeoutExpired) as error:
-            said = [str(error)]
+            message = [str(error)]
         if not pdf.is_file():
             remedy = "Open the page in a browser and print it there"
             raise UserError(
-                f"{browser} did not print the page: {' '.join(said) or 'no message'}", "--pdf", remedy=remedy
+                f"{browser} did not print the page: {' '.join(message) or 'no message'}", "--pdf", remedy=remedy
             )
         return pdf.read_bytes()
 

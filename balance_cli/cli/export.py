@@ -42,8 +42,8 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
     from balance_cli.exporters.formats import SUFFIXES, export_bytes
 
     to_stdout = str(output) == "-"
-    chosen = format or ("csv" if to_stdout else SUFFIXES.get(output.suffix.lower()))
-    if chosen is None:
+    file_format = format or ("csv" if to_stdout else SUFFIXES.get(output.suffix.lower()))
+    if file_format is None:
         fault = f"its ending `{output.suffix}` names no format"
         raise UserError(fault, str(output), remedy=f"End it with {', '.join(SUFFIXES)}, or give --format")
     if to_stdout and session.json_to_stdout:
@@ -54,7 +54,7 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
         else session.artefact(artefact, TYPES)
     )
     try:
-        content = export_bytes(item, chosen, wide)
+        content = export_bytes(item, file_format, wide)
     except UserError as error:
         raise error.with_location(file=str(artefact)) from error
     if to_stdout:
@@ -65,7 +65,7 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
         part = session.stage(output)
         with os_errors_as_user_error(output):
             part.write_bytes(content)
-    session.finish({"format": chosen, "bytes": len(content)})
+    session.finish({"format": file_format, "bytes": len(content)})
 
 
 def _read_history(session: Session, path: Path) -> Artefact:

@@ -174,8 +174,8 @@ def _equal_runs(planned: PlannedCampaign) -> Iterator[tuple[int, int]]:
     """First and last index of consecutive sweeps that differ in their names alone; other runs are single."""
     from itertools import groupby
 
-    chosen = [item.plan for item in planned.chosen]
-    plans = [plan.model_dump_json(exclude={"run"} if plan.kind == "sweep" else None) for plan in chosen]
+    run_plans = [item.plan for item in planned.chosen]
+    plans = [plan.model_dump_json(exclude={"run"} if plan.kind == "sweep" else None) for plan in run_plans]
     for _, group in groupby(range(len(plans)), plans.__getitem__):
         indices = list(group)
         yield indices[0], indices[-1]

@@ -55,13 +55,13 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
 
 def _unnoticed_errors(run: RunLoads) -> dict[str, dict[int, dict[str, Any]]] | None:
     """Return {component: {harmonic: sensor and change of the load}}; None where sensors are not tested."""
-    found = run.unnoticed
-    if found is None:
+    errors = run.unnoticed
+    if errors is None:
         return None
     return {
         component: {
-            n + 1: {"sensor": found.sensors[sensor], "change": float(change)}
-            for n, (sensor, change) in enumerate(zip(found.sensor[:, j], found.change[:, j], strict=True))
+            n + 1: {"sensor": errors.sensors[sensor], "change": float(change)}
+            for n, (sensor, change) in enumerate(zip(errors.sensor[:, j], errors.change[:, j], strict=True))
         }
         for j, component in enumerate(run.components)
     }

@@ -125,12 +125,12 @@ def _load_plan(plan: str, only: tuple[str, ...], geometry: Geometry) -> Campaign
     from balance_cli.simulation.preset_plans import PRESETS
 
     speed = geometry.rotor.speed if geometry.rotor else 17.5
-    whole = campaign_plan(plan, speed) if plan in PRESETS else read_plan(Path(plan))
-    names = [run.run for run in whole.runs]
+    campaign = campaign_plan(plan, speed) if plan in PRESETS else read_plan(Path(plan))
+    names = [run.run for run in campaign.runs]
     for name in only:
         if name not in names:
             raise UserError(f"the plan has no run `{name}`", "--only", remedy=f"It has {', '.join(names)}")
-    return whole.select_runs(only) if only else whole
+    return campaign.select_runs(only) if only else campaign
 
 
 def _noise_of(plan: CampaignPlan) -> Noise:
@@ -156,14 +156,14 @@ def _parse_effects(effects: tuple[str, ...], parameters: tuple[str, ...]) -> lis
     for text in parameters:
         place, name, value = _split_parameter(text)
         values[_effect_of_parameter(text, place, name, effects)][name] = value
-    chosen = []
+    extensions = []
     for effect, given in values.items():
         name, _, places = effect.partition("@")
         try:
-            chosen.append(extension(name, tuple(places.split(",")) if places else (), **given))
+            extensions.append(extension(name, tuple(places.split(",")) if places else (), **given))
         except UserError as error:
             raise error.with_location("--effect") from error
-    return chosen
+    return extensions
 
 
 def _split_parameter(text: str) -> tuple[str, str, str]:

@@ -106,7 +106,7 @@ def _modes_of_runs(
         fault = "has no equations of motion, whose modes could be followed"
         raise UserError(fault, str(model), remedy="Give a model of the physical form")
     wanted = {point.run: point for point in points}
-    found: dict[str, OperationalModes] = {}
+    modes_by_run: dict[str, OperationalModes] = {}
     reasons: list[str] = []
     paths = sorted(folder.glob("*.h5"))
     for path in session.progress(paths, "records", len(paths)):
@@ -116,16 +116,20 @@ def _modes_of_runs(
             continue  # another file of the folder
         try:
             if point is not None:
-                found[point.run] = run_modes(open_matching_run(path, geometry, hold=True), point, geometry, source)
+                modes_by_run[point.run] = run_modes(
+                    open_matching_run(path, geometry, hold=True), point, geometry, source
+                )
         except UserError as error:
             reasons.append(str(error))
-    if not found:
+    if not modes_by_run:
         reason = f"First reason: {reasons[0]}" if reasons else "Give the folder of the runs that were reduced"
         raise UserError("holds no usable record of these loads", str(folder), remedy=reason)
-    if len(found) < len(wanted):
+    if len(modes_by_run) < len(wanted):
         first = f"; the first: {reasons[0]}" if reasons else ""
-        session.warn(f"{len(wanted) - len(found)} of {len(wanted)} runs have no usable record in {folder}{first}")
-    return found
+        session.warn(
+            f"{len(wanted) - len(modes_by_run)} of {len(wanted)} runs have no usable record in {folder}{first}"
+        )
+    return modes_by_run
 
 
 def _table(result: TrendResult) -> str:

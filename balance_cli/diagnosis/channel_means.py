@@ -82,8 +82,8 @@ class MeanRegression:
         weight = 1.0 / np.sqrt(variance[used])
         A, y = columns[:, used].T * weight[:, None], volts[used] * weight
         left, size, right = np.linalg.svd(A, full_matrices=False)
-        kept = size > np.finfo(float).eps * len(y) * size.max(initial=0.0)
-        left, size, right = left[:, kept], size[kept], right[kept]
+        is_significant = size > np.finfo(float).eps * len(y) * size.max(initial=0.0)
+        left, size, right = left[:, is_significant], size[is_significant], right[is_significant]
         values = right.T @ ((left.T @ y) / size)
         sigma = np.sqrt(np.sum((right / size[:, None]) ** 2, axis=0))
         return cls(values, sigma, y - left @ (left.T @ y), left, variance)

@@ -65,8 +65,8 @@ def common_load_gain(
     spread = np.maximum(settings.max_spread * abs(gain - 1.0), settings.max_sigma * sigma)
     if np.any(np.abs(value - gain) > spread):
         return None
-    found = {name for effect in gains for name in effect.where}
-    return CommonLoadGain(tuple(name for name in COMPONENTS if name in found), gain)
+    components = {name for effect in gains for name in effect.where}
+    return CommonLoadGain(tuple(name for name in COMPONENTS if name in components), gain)
 
 
 def judge_common_load_gain(

@@ -77,7 +77,7 @@ def find_exclusion(
 
 def _proposals(residual: ResidualMap, settings: SearchSettings) -> Iterator[tuple[str, str]]:
     """The channels and runs that hold most of the excess over the noise, before the search or after it."""
-    found = dict[tuple[str, str], float]()
+    shares = dict[tuple[str, str], float]()
     for power in (residual.before**2, residual.after**2):
         for kind, axis, names in ((CHANNEL, 2, residual.channels), (RUN, 0, residual.runs)):
             others = tuple(i for i in range(3) if i != axis)
@@ -85,8 +85,8 @@ def _proposals(residual: ResidualMap, settings: SearchSettings) -> Iterator[tupl
             share = excess / max(float(excess.sum()), np.finfo(float).tiny)
             best = int(np.argmax(share))
             if len(names) > 1 and share[best] > settings.data_tests.exclusions.min_excess_share:
-                found[(kind, names[best])] = max(share[best], found.get((kind, names[best]), 0.0))
-    yield from sorted(found, key=lambda item: -found[item])
+                shares[(kind, names[best])] = max(share[best], shares.get((kind, names[best]), 0.0))
+    yield from sorted(shares, key=lambda item: -shares[item])
 
 
 # ---- spectra without a part ------------------------------------------------------------------------------------------
@@ -112,45 +112,45 @@ def _lines_without(run: RunSpectrum, name: str, geometry: Geometry) -> RunSpectr
     if name not in run.channel_names:
         return run
     c, u = len(run.channel_names), len(run.components)
-    kept = np.array([i for i, other in enumerate(run.channel_names) if other != name], np.intp)
-    signals = np.concatenate([kept, np.arange(c, c + u)])
+    remaining = np.array([i for i, other in enumerate(run.channel_names) if other != name], np.intp)
+    signals = np.concatenate([remaining, np.arange(c, c + u)])
     pick = np.ix_(np.arange(len(run.frequency)), signals, signals)
     waveform = run.waveform
     if waveform is not None:
         share = _share_without(waveform.share, run.channel_names, name, geometry)
-        waveform = waveform.with_channels(waveform.volts[:, kept], share)
+        waveform = waveform.with_channels(waveform.volts[:, remaining], share)
     window = None if run.window is None else replace(run.window, covariance=run.window.covariance[pick])
     return replace(
         run,
-        channel_names=tuple(run.channel_names[i] for i in kept),
-        channels=run.channels[:, kept],
+        channel_names=tuple(run.channel_names[i] for i in remaining),
+        channels=run.channels[:, remaining],
         covariance=run.covariance[pick],
         window=window,
         waveform=waveform,
-        noise_parts=_parts_without(run.noise_parts, kept),
-        periods=None if run.periods is None else run.periods[:, :, kept],
+        noise_parts=_parts_without(run.noise_parts, remaining),
+        periods=None if run.periods is None else run.periods[:, :, remaining],
     )
 
 
 def _points_without(run: StaticPoints, name: str, geometry: Geometry) -> StaticPoints:
     if name not in run.channel_names:
         return run
-    kept = np.array([i for i, other in enumerate(run.channel_names) if other != name], np.intp)
+    remaining = np.array([i for i, other in enumerate(run.channel_names) if other != name], np.intp)
     share = run.share
     if share is not None:
         share = _share_without(share[None, :], run.channel_names, name, geometry)[0]
     return replace(
         run,
-        channel_names=tuple(run.channel_names[i] for i in kept),
-        channels=run.channels[:, kept],
-        covariance=run.covariance[np.ix_(kept, kept)],
+        channel_names=tuple(run.channel_names[i] for i in remaining),
+        channels=run.channels[:, remaining],
+        covariance=run.covariance[np.ix_(remaining, remaining)],
         share=share,
-        noise_parts=_parts_without(run.noise_parts, kept),
+        noise_parts=_parts_without(run.noise_parts, remaining),
     )
 
 
-def _parts_without(parts: Sequence[NoisePart], kept: NDArray[np.intp]) -> tuple[NoisePart, ...]:
-    return tuple(replace(part, shape=part.shape[np.ix_(kept, kept)]) for part in parts)
+def _parts_without(parts: Sequence[NoisePart], remaining: NDArray[np.intp]) -> tuple[NoisePart, ...]:
+    return tuple(replace(part, shape=part.shape[np.ix_(remaining, remaining)]) for part in parts)
 
 
 def _share_without(share: Array, names: Sequence[str], name: str, geometry: Geometry) -> Array:

@@ -123,17 +123,17 @@ def find_zeros(system: System, spectra: Spectra, settings: DataTestSettings) -> 
     limits = settings.zero_drift
     if system.equations.nonlinear_terms:
         return Zeros({}, None)
-    made = _SweepMeans.of(system, spectra, settings)
-    if made.tested.sum() < limits.min_channels:
+    sweep_means = _SweepMeans.of(system, spectra, settings)
+    if sweep_means.tested.sum() < limits.min_channels:
         return Zeros({}, None)
-    regression = made.regression(made.columns)
-    patterns = list(cell_patterns(system, made.means, made.at_rest))
-    drift = made.drift(regression, settings) if regression.largest_share(patterns) <= limits.cell_share else None
+    regression = sweep_means.regression(sweep_means.columns)
+    patterns = list(cell_patterns(system, sweep_means.means, sweep_means.at_rest))
+    drift = sweep_means.drift(regression, settings) if regression.largest_share(patterns) <= limits.cell_share else None
     if drift is not None:
-        made.variance[:, [made.names.index(name) for name in drift.channels]] += drift.sigma**2
-        regression = made.regression(made.columns)
-    is_clear = made.regression(made.columns[:0]).largest_share(patterns) <= limits.cell_share
-    return Zeros(_clear_offsets(regression, made.tested, made.names, settings) if is_clear else {}, drift)
+        sweep_means.variance[:, [sweep_means.names.index(name) for name in drift.channels]] += drift.sigma**2
+        regression = sweep_means.regression(sweep_means.columns)
+    is_clear = sweep_means.regression(sweep_means.columns[:0]).largest_share(patterns) <= limits.cell_share
+    return Zeros(_clear_offsets(regression, sweep_means.tested, sweep_means.names, settings) if is_clear else {}, drift)
 
 
 def share_with_contacts(
@@ -146,14 +146,17 @@ def share_with_contacts(
     contacts = tuple(force for force in system.equations.forces if force.held is not None)
     if drift is None or not contacts:
         return drift
-    made = _SweepMeans.of(system, spectra, settings)
-    held = contact_columns(system, made.means, made.at_rest, contacts)
-    without, beside = made.regression(made.columns), made.regression(np.concatenate([made.columns, held]))
+    sweep_means = _SweepMeans.of(system, spectra, settings)
+    held = contact_columns(system, sweep_means.means, sweep_means.at_rest, contacts)
+    without, beside = (
+        sweep_means.regression(sweep_means.columns),
+        sweep_means.regression(np.concatenate([sweep_means.columns, held])),
+    )
     share = 1.0 - float(beside.channel_chi2.sum() / max(without.channel_chi2.sum(), np.finfo(float).tiny))
     if share <= settings.zero_drift.cell_share:
         return drift
     places = tuple(system.equations.springs[force.spring] for force in contacts)
-    return replace(drift, contacts=ContactShare(places, share, made.drift(beside, settings)))
+    return replace(drift, contacts=ContactShare(places, share, sweep_means.drift(beside, settings)))
 
 
 @dataclass(frozen=True)

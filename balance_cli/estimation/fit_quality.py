@@ -79,8 +79,8 @@ def _batch_quality(batch: Batch, system: System, frf_limits: tuple[float, float]
     return qualities
 
 
-def _rms_ratio(part: Array, whole: Array) -> float:
-    return float(np.sqrt(part.sum() / whole.sum())) if len(part) else float("nan")
+def _rms_ratio(part: Array, total: Array) -> float:
+    return float(np.sqrt(part.sum() / total.sum())) if len(part) else float("nan")
 
 
 def live_mask(batch: Batch) -> NDArray[np.bool_]:

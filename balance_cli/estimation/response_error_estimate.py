@@ -96,12 +96,12 @@ def _residuals_by_component(batch: Batch, system: System) -> list[tuple[int, Res
     parts = []
     for column in range(batch.lines.components.shape[1]):
         for j in np.unique(batch.lines.components[:, column]):
-            mine = (batch.lines.components[:, column] == j) & (batch.line_frequency > 0) & (power[:, column] > 0)
-            if not mine.any():
+            selection = (batch.lines.components[:, column] == j) & (batch.line_frequency > 0) & (power[:, column] > 0)
+            if not selection.any():
                 continue
-            scale = (share[mine, column] / np.sqrt(power[mine, column]))[:, None]
-            response = np.where(live[mine], residual[mine], 0.0) * scale
-            parts.append((int(j), Residuals(batch.line_frequency[mine], response, variance[mine] * scale**2)))
+            scale = (share[selection, column] / np.sqrt(power[selection, column]))[:, None]
+            response = np.where(live[selection], residual[selection], 0.0) * scale
+            parts.append((int(j), Residuals(batch.line_frequency[selection], response, variance[selection] * scale**2)))
     return parts
 
 

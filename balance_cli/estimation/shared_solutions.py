@@ -36,21 +36,21 @@ class SharedSolutions:
     def solution(self, frequency: Array, spin: float) -> Solution:
         """The system solved at these frequencies (f,) [Hz] and this rotor speed [Hz]."""
         key = (spin, frequency.tobytes())
-        found = self._solutions.get(key)
-        return _keep(self._solutions, key, solve(self._system, frequency, spin)) if found is None else found
+        cached = self._solutions.get(key)
+        return _keep(self._solutions, key, solve(self._system, frequency, spin)) if cached is None else cached
 
     def transient_modes(self, spin: float, highest: float, fastest_decay: float, derivatives: bool) -> TransientModes:
         """The modes of `model.transient_modes.transient_modes` of this system."""
         key = (spin, highest, fastest_decay, derivatives)
-        found = self._modes.get(key)
-        if found is not None:
-            return found
+        cached = self._modes.get(key)
+        if cached is not None:
+            return cached
         return _keep(self._modes, key, transient_modes(self._system, spin, highest, fastest_decay, derivatives))
 
 
-def _keep(kept: dict[Hashable, Value], key: Hashable, value: Value) -> Value:
+def _keep(cache: dict[Hashable, Value], key: Hashable, value: Value) -> Value:
     """Store a value, the oldest one giving way."""
-    for oldest in list(kept)[: max(len(kept) - MAX_KEPT + 1, 0)]:
-        kept.pop(oldest, None)
-    kept[key] = value
+    for oldest in list(cache)[: max(len(cache) - MAX_KEPT + 1, 0)]:
+        cache.pop(oldest, None)
+    cache[key] = value
     return value

@@ -172,7 +172,7 @@ def _unique_names(cubes: Iterator[Cube]) -> Iterator[Cube]:
     """Yield the cubes; where several have a name, the later ones get a number."""
     from dataclasses import replace
 
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for cube in cubes:
-        seen[cube.name] = seen.get(cube.name, 0) + 1
-        yield cube if seen[cube.name] == 1 else replace(cube, name=f"{cube.name}-{seen[cube.name]}")
+        counts[cube.name] = counts.get(cube.name, 0) + 1
+        yield cube if counts[cube.name] == 1 else replace(cube, name=f"{cube.name}-{counts[cube.name]}")

@@ -51,11 +51,11 @@ def _curves(cube: Cube) -> list[tuple[dict[str, int], str]]:
     """Return for each curve of the signal its index on the other axes, and its name."""
     others = [axis for axis in cube.variables[cube.signal].axes if axis != cube.abscissa]
     shape = [len(cube.coordinates[axis].values) for axis in others]
-    found = []
+    curves = []
     for index in np.ndindex(*shape):
         at = dict(zip(others, index, strict=True))
-        found.append((at, "_".join(str(cube.coordinates[axis].values[i]) for axis, i in at.items())))
-    return found
+        curves.append((at, "_".join(str(cube.coordinates[axis].values[i]) for axis, i in at.items())))
+    return curves
 
 
 def _write_curve(entry: Any, cube: Cube, index: dict[str, int], name: str) -> str:

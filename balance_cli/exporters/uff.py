@@ -83,9 +83,9 @@ def header(name: str, description: str, when: datetime) -> list[str]:
 
 def units() -> list[str]:
     """Return the lines of dataset 164: SI units."""
-    one = f"{1.0:25.17E}".replace("E", "D")
+    unit_factor = f"{1.0:25.17E}".replace("E", "D")
     kelvin = f"{273.15:25.17E}".replace("E", "D")
-    return [DELIMITER, "   164", f"{1:10d}{SI_UNITS:<20}{2:10d}", one * 3, kelvin, DELIMITER]
+    return [DELIMITER, "   164", f"{1:10d}{SI_UNITS:<20}{2:10d}", unit_factor * 3, kelvin, DELIMITER]
 
 
 def _function(transfer: Transfer, response: FrequencyResponse, i: int, j: int, when: datetime) -> list[str]:

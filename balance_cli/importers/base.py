@@ -108,14 +108,14 @@ class Format(Protocol):
 
 def distinct_names(groups: Sequence[ChannelGroup]) -> tuple[ChannelGroup, ...]:
     """The groups with repeated channel names told apart by `#2`, `#3` and so on, and empty ones numbered."""
-    seen: dict[str, int] = {}
+    counts: dict[str, int] = {}
     renamed = []
     for group in groups:
         channels = []
         for channel in group.channels:
             name = " ".join(channel.name.split()) or "channel"
-            seen[name] = seen.get(name, 0) + 1
-            channels.append(replace(channel, name=name if seen[name] == 1 else f"{name} #{seen[name]}"))
+            counts[name] = counts.get(name, 0) + 1
+            channels.append(replace(channel, name=name if counts[name] == 1 else f"{name} #{counts[name]}"))
         renamed.append(replace(group, channels=tuple(channels)))
     return tuple(renamed)
 
@@ -157,5 +157,5 @@ def damaged(reason: object) -> UserError:
 
 def select_columns(table: NDArray[Any], columns: Sequence[int]) -> Array:
     """Return columns of a table (n, c) in double precision, as a copy; all together are not picked one by one."""
-    chosen = list(columns)
-    return np.array(table if chosen == list(range(table.shape[1])) else table[:, chosen], np.float64)
+    indices = list(columns)
+    return np.array(table if indices == list(range(table.shape[1])) else table[:, indices], np.float64)

@@ -34,14 +34,16 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the channels; start times count from the earliest channel."""
     nptdms = require_package("nptdms", NAME, "npTDMS")
     with errors_as_damage(), nptdms.TdmsFile.open(path) as file:
-        found = [(group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()]
-    if not found:
+        channels = [
+            (group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()
+        ]
+    if not channels:
         raise UserError("has no channels", remedy="Give a file with channels")
-    begins = [facts["begin"] for _, _, facts in found if facts["begin"] is not None]
+    begins = [facts["begin"] for _, _, facts in channels if facts["begin"] is not None]
     origin = min(begins, default=None)
-    several = len({group for group, _, _ in found}) > 1
+    several = len({group for group, _, _ in channels}) > 1
     opened = _OpenFile(path)
-    groups = tuple(_group(opened, group, name, facts, origin, several) for group, name, facts in found)
+    groups = tuple(_group(opened, group, name, facts, origin, several) for group, name, facts in channels)
     return ForeignFile(path, NAME, groups, recorded=None if origin is None else str(origin)[:19])
 
 

@@ -69,12 +69,12 @@ def _end_of_text(file: IO[bytes]) -> int:
     while end > 0:
         size = min(TAIL_BYTES, end)
         file.seek(end - size)
-        kept = len(file.read(size).rstrip(b"\r\n \t\0\x1a,;"))
-        if kept:
+        text_length = len(file.read(size).rstrip(b"\r\n \t\0\x1a,;"))
+        if text_length:
             file.seek(end - size)
-            tail = file.read(size)[kept:]
+            tail = file.read(size)[text_length:]
             line_end = [position for position in (tail.find(b"\r"), tail.find(b"\n")) if position >= 0]
-            return end - size + kept + (min(line_end) if line_end else len(tail))
+            return end - size + text_length + (min(line_end) if line_end else len(tail))
         end -= size
     return 0
 

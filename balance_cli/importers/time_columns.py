@@ -26,10 +26,10 @@ def time_columns(
     A column of times has a name or a unit that says so, and values that increase evenly as far as there are any.
     `heads` are name and unit of each column.
     """
-    found = [k for k in numeric if _says_time(*heads[k]) and _increases_evenly(_values(rows, k, decimal))]
+    time_like = [k for k in numeric if _says_time(*heads[k]) and _increases_evenly(_values(rows, k, decimal))]
     last = max(numeric, default=0)
-    found = [k for k in found if k < last and k + 1 not in found]
-    return tuple(found) if len(found) > 1 else ()
+    time_like = [k for k in time_like if k < last and k + 1 not in time_like]
+    return tuple(time_like) if len(time_like) > 1 else ()
 
 
 def _says_time(name: str, unit: str) -> bool:

@@ -161,9 +161,9 @@ def _binary_place(file: BinaryIO, words: list[str], header: list[str], size: int
 def _ends_at(file: BinaryIO, end: int) -> bool:
     """Whether the delimiter stands at byte `end`; if so, leave the file there."""
     file.seek(end)
-    found = file.read(32).lstrip(b"\r\n \t").startswith(DELIMITER)
+    is_delimiter = file.read(32).lstrip(b"\r\n \t").startswith(DELIMITER)
     file.seek(end)
-    return found
+    return is_delimiter
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ def plausible_rate(step: str) -> tuple[float, str]:
     rate = 1.0 / value
     half_unit = STEP_MARGIN * _half_unit(step) / value
     low, high = rate * (1.0 - half_unit), rate * (1.0 + half_unit)
-    whole = _simplest_whole(low, high) if half_unit < LARGEST_WIDTH else None
-    if whole is None or whole == rate:
+    integer_rate = _simplest_whole(low, high) if half_unit < LARGEST_WIDTH else None
+    if integer_rate is None or integer_rate == rate:
         return whole_rate(rate), ""
-    return float(whole), f"a step of {step} s is taken as {whole} Hz, not {rate:.7g} Hz"
+    return float(integer_rate), f"a step of {step} s is taken as {integer_rate} Hz, not {rate:.7g} Hz"
 
 
 def whole_rate(rate: float) -> float:

@@ -40,12 +40,12 @@ def read_written_times(read: ReadBlock, samples: int, rate: float, factor: float
     digits = _significant_digits(read, samples)
     if digits is None:
         return None
-    tried = []
+    tried_rates = []
     for unit in ROUND_RATES:
         candidate = round(rate / unit) * unit
-        if candidate <= 0.0 or abs(candidate / rate - 1.0) > LARGEST_CORRECTION or candidate in tried:
+        if candidate <= 0.0 or abs(candidate / rate - 1.0) > LARGEST_CORRECTION or candidate in tried_rates:
             continue
-        tried.append(candidate)
+        tried_rates.append(candidate)
         start = _common_start(read, samples, 1.0 / (candidate * factor), digits)
         if start is not None:
             return WrittenTimes(candidate, start * factor)

@@ -217,17 +217,17 @@ def read_tree(group: h5py.Group) -> Tree:
     return _read_group(group, {group.id: group.name}, [0])
 
 
-def _read_group(group: h5py.Group, seen: dict[Any, str], size: list[int]) -> Tree:
-    """The tree of a group; `seen` are the groups that contain it, `size` the bytes so far."""
+def _read_group(group: h5py.Group, ancestors: dict[Any, str], size: list[int]) -> Tree:
+    """The tree of a group; `ancestors` are the groups that contain it, `size` the bytes so far."""
     tree: Tree = {}
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"{group.name}/{name} is a link to elsewhere")
         item = group[name]
         if isinstance(item, h5py.Group):
-            if item.id in seen:
-                raise ValueError(f"{group.name}/{name} is a link to the group {seen[item.id]}")
-            tree[_key_of_link(name)] = _read_group(item, {**seen, item.id: item.name}, size)
+            if item.id in ancestors:
+                raise ValueError(f"{group.name}/{name} is a link to the group {ancestors[item.id]}")
+            tree[_key_of_link(name)] = _read_group(item, {**ancestors, item.id: item.name}, size)
         else:
             size[0] += require_stored_values(item)
             if size[0] > MOST_TREE_BYTES:

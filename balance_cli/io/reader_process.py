@@ -228,11 +228,11 @@ def _set_limits(cpu_time: float, memory: int) -> None:
         _lower_limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
 
 
-def _lower_limit(which: int, value: int) -> None:
+def _lower_limit(resource_id: int, value: int) -> None:
     import resource
 
-    hard = resource.getrlimit(which)[1]
-    resource.setrlimit(which, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+    hard = resource.getrlimit(resource_id)[1]
+    resource.setrlimit(resource_id, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
 
 
 def _picklable(error: Exception) -> Exception:

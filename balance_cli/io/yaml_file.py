@@ -57,13 +57,13 @@ class _Loader(yaml.SafeLoader):
         """Construct a mapping whose keys differ."""
         if not isinstance(node, yaml.MappingNode):
             raise yaml.MarkedYAMLError(problem="keys with values were expected", problem_mark=node.start_mark)
-        seen: set[str] = set()
+        keys: set[str] = set()
         for key_node, _ in node.value:
             key = str(getattr(key_node, "value", key_node))
-            if key in seen:
+            if key in keys:
                 line = key_node.start_mark.line + 1
                 raise UserError(f"key `{key}` is given twice", place=f"line {line}", remedy="Remove one of them")
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep)
 
 

@@ -17,9 +17,9 @@ Mask = NDArray[np.bool_]
 def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
     """The gains g (k, c), volts per unit of what each channel's spring reads at `frequency` (k,) [Hz]."""
     s = 2j * np.pi * np.asarray(frequency, float)
-    alike = [_dynamics_key(path) for path in paths]
-    dynamics = {key: channel_dynamics(path, s) for key, path in dict(zip(alike, paths, strict=True)).items()}
-    return np.stack([path.gain.value * dynamics[key] for key, path in zip(alike, paths, strict=True)], axis=1)
+    keys = [_dynamics_key(path) for path in paths]
+    dynamics = {key: channel_dynamics(path, s) for key, path in dict(zip(keys, paths, strict=True)).items()}
+    return np.stack([path.gain.value * dynamics[key] for key, path in zip(keys, paths, strict=True)], axis=1)
 
 
 def _dynamics_key(path: ChannelPath) -> tuple[object, ...]:

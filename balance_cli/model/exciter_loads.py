@@ -27,8 +27,8 @@ Mask = NDArray[np.bool_]
 
 def has_plain_exciters(equations: Equations) -> bool:
     """Whether force cells read what acts beyond them: no gain, delay or mass at its present value."""
-    one = np.array_equal(equations.load_gain.value, np.ones(6))
-    return one and not np.any(equations.load_delay.value) and not np.any(equations.exciter_mass.value)
+    has_unit_gains = np.array_equal(equations.load_gain.value, np.ones(6))
+    return has_unit_gains and not np.any(equations.load_delay.value) and not np.any(equations.exciter_mass.value)
 
 
 def true_load_matrices(

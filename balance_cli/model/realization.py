@@ -136,12 +136,12 @@ def proper_part(system: Descriptor) -> Realization:
     for rate in TIME_SCALE_RATES:
         # The QZ iteration may fail to converge; in another unit of time it does.
         with suppress(np.linalg.LinAlgError, ValueError):
-            whole = _add_direct_term(_finite_part(system, rate), system)
+            proper = _add_direct_term(_finite_part(system, rate), system)
             if all(
-                _responses_agree(whole.transfer_function(s)[0].real, system.transfer_function(s))
+                _responses_agree(proper.transfer_function(s)[0].real, system.transfer_function(s))
                 for s in CHECK_FREQUENCIES
             ):
-                return whole
+                return proper
     raise UserError(
         "the balance has no state space: its response is not that of finite poles and a direct term",
         remedy="Look for an effect with an implausibly large parameter",
@@ -255,8 +255,8 @@ def modal_form(system: Realization) -> Realization:
     if not len(s) or np.linalg.cond(vectors) > WORST_EIGENVECTOR_CONDITION:
         return system
     c, b = np.asarray(system.C @ vectors, complex), np.asarray(np.linalg.solve(vectors, system.B), complex)
-    kept = np.flatnonzero(_significant_residues(s, b, c) & (s.imag >= 0))
-    blocks = [_mode(complex(s[m]), b[m], c[:, m]) for m in kept[np.argsort(np.abs(s[kept]))]]
+    poles = np.flatnonzero(_significant_residues(s, b, c) & (s.imag >= 0))
+    blocks = [_mode(complex(s[m]), b[m], c[:, m]) for m in poles[np.argsort(np.abs(s[poles]))]]
     outputs, inputs = system.D.shape
     return Realization(
         A=_block_diagonal_array([A for A, _, _ in blocks] or [np.zeros((0, 0))]),

@@ -77,9 +77,11 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
     of_spring = static_gain_system(
         np.array([[float(path.spring == spring) for spring in read] for path in system.equations.paths])
     )
-    whole = series(series(forces, of_spring), volts)
+    balance = series(series(forces, of_spring), volts)
     delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.equations.paths])
-    return StateSpace(system.channel_names, whole.A, whole.B, whole.C, whole.D, delay, system.equations.mixing.value)
+    return StateSpace(
+        system.channel_names, balance.A, balance.B, balance.C, balance.D, delay, system.equations.mixing.value
+    )
 
 
 def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
@@ -90,8 +92,8 @@ def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
     if acquisition.filter is None:
         return space
     filters = parallel([_butterworth_filter(acquisition.filter)] * space.B.shape[1])
-    whole = series(filters, Realization(space.A, space.B, space.C, space.D))
-    return replace(space, A=whole.A, B=whole.B, C=whole.C, D=whole.D)
+    filtered = series(filters, Realization(space.A, space.B, space.C, space.D))
+    return replace(space, A=filtered.A, B=filtered.B, C=filtered.C, D=filtered.D)
 
 
 # ---- mechanics -------------------------------------------------------------------------------------------------------
@@ -146,12 +148,12 @@ def _second_order_matrices(system: System, spin: float) -> tuple[Array, Array, A
 
 def _channel_filters(path: ChannelPath) -> Realization:
     """The path from a spring's force to volts, without the delay."""
-    whole = static_gain_system(float(path.gain.value))
+    filters = static_gain_system(float(path.gain.value))
     for tau in path.low_pass:
-        whole = whole if tau.value == 0 else series(whole, _low_pass(1 / float(tau.value)))
+        filters = filters if tau.value == 0 else series(filters, _low_pass(1 / float(tau.value)))
     for rate in path.high_pass:
-        whole = whole if rate.value <= 0 else series(whole, _high_pass(float(rate.value)))
-    return whole
+        filters = filters if rate.value <= 0 else series(filters, _high_pass(float(rate.value)))
+    return filters
 
 
 def _low_pass(rate: float) -> Realization:
@@ -169,10 +171,10 @@ def _high_pass(rate: float) -> Realization:
 def _butterworth_filter(declared: AnalogFilter) -> Realization:
     """The low-pass of `butterworth_poles`: its pairs of poles in series, then the real pole, if any."""
     poles = 2 * np.pi * declared.cutoff * butterworth_poles(declared.order)
-    whole = static_gain_system(1.0)
+    sections = static_gain_system(1.0)
     for pole in poles[: declared.order // 2]:
-        whole = series(whole, _resonant_low_pass(complex(pole)))
-    return series(whole, _low_pass(2 * np.pi * declared.cutoff)) if declared.order % 2 else whole
+        sections = series(sections, _resonant_low_pass(complex(pole)))
+    return series(sections, _low_pass(2 * np.pi * declared.cutoff)) if declared.order % 2 else sections
 
 
 def _resonant_low_pass(pole: complex) -> Realization:

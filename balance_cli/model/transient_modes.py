@@ -72,8 +72,10 @@ def _structural_transients(
 ) -> TransientModes:
     M, D, K = _pencil_matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
-    kept = (s.imag < 2 * np.pi * highest_frequency) & (-s.real < fastest_decay) & _observable_modes(system, right)
-    s, left, X = s[kept], left[kept], right[kept].T
+    is_relevant = (
+        (s.imag < 2 * np.pi * highest_frequency) & (-s.real < fastest_decay) & _observable_modes(system, right)
+    )
+    s, left, X = s[is_relevant], left[is_relevant], right[is_relevant].T
     norm = np.einsum("mi,mij,jm->m", left, 2 * s[:, None, None] * M + D, X)
     shift, d_shift = frequency_stiffness_shift(system, s, left, X.T, norm)
     springs = [path.spring for path in system.equations.paths]

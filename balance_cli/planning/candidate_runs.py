@@ -194,9 +194,9 @@ def by_turns(candidates: tuple[CandidateRun, ...]) -> tuple[CandidateRun, ...]:
     return tuple(item for _, item in sorted(zip(places, candidates, strict=True), key=lambda pair: pair[0]))
 
 
-def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:
+def number_runs(runs: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:
     """The runs with unique names: those of the candidates, with a number in front."""
     return tuple(
         CandidateRun(item.plan.model_copy(update={"run": f"{i:02d}-{item.plan.run}"}), item.minutes)
-        for i, item in enumerate(chosen, 1)
+        for i, item in enumerate(runs, 1)
     )

@@ -88,9 +88,9 @@ def compare_run(run: ExecutedRun, campaign: Array) -> RunComparison:
 
 def information_ratio(achieved: Array, planned: Array, campaign: Array) -> float:
     """Geometric mean of the ratio of the diagonals (p,), over the parameters of which the run tells its share."""
-    made, meant = np.diag(achieved), np.diag(planned)
-    known = (made > 0) & (meant > LEAST_SHARE * campaign)
-    return float(np.exp(np.mean(np.log(made[known] / meant[known])))) if known.any() else 0.0
+    measured, meant = np.diag(achieved), np.diag(planned)
+    known = (measured > 0) & (meant > LEAST_SHARE * campaign)
+    return float(np.exp(np.mean(np.log(measured[known] / meant[known])))) if known.any() else 0.0
 
 
 def _level(lines: RunSpectrum) -> float:
@@ -107,8 +107,8 @@ def _noise_ratio(run: ExecutedRun) -> float:
     parts = [measured_noise([lines], run.plan.sample_rate) for lines in (run.lines, run.rehearsed)]
     if parts[0] is None or parts[1] is None:
         return float("nan")
-    made, meant = parts[0][0], parts[1][0]
-    ratios = [made[name] / meant[name] for name in made if meant.get(name, 0.0) > 0 and made[name] > 0]
+    measured, meant = parts[0][0], parts[1][0]
+    ratios = [measured[name] / meant[name] for name in measured if meant.get(name, 0.0) > 0 and measured[name] > 0]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else float("nan")
 
 

@@ -85,28 +85,28 @@ def confused_pairs(
     return tuple(pairs)
 
 
-def _cosines(total: RunInformation, model: ExtendedModel, alike: Sequence[tuple[int, int, float]]) -> list[float]:
+def _cosines(total: RunInformation, model: ExtendedModel, pairs: Sequence[tuple[int, int, float]]) -> list[float]:
     """The cosine of each pair after the runs of `total`."""
     projected, positions = project(total, model), tested_positions(model)
-    return [canonical_cosine(projected, positions[i], positions[j]) for i, j, _ in alike]
+    return [canonical_cosine(projected, positions[i], positions[j]) for i, j, _ in pairs]
 
 
 def _with_further(
-    pair: ConfusedPair, model: ExtendedModel, alike: tuple[int, int, float], further: Sequence[tuple[float, str]]
+    pair: ConfusedPair, model: ExtendedModel, indices: tuple[int, int, float], further: Sequence[tuple[float, str]]
 ) -> ConfusedPair:
     """The pair with the run beyond the hall that separates it best, or what does otherwise."""
-    beyond = _pair(model, alike, pair.places, further)
+    beyond = _pair(model, indices, pair.places, further)
     if beyond.run:
         return replace(pair, further=beyond.run, cosine_with_further=beyond.cosine_with_run)
-    effects = dict.fromkeys(model.candidates[k].effect.separated_by for k in alike[:2])
+    effects = dict.fromkeys(model.candidates[k].effect.separated_by for k in indices[:2])
     return replace(pair, cosine_with_further=pair.cosine, otherwise=" ".join(effects))
 
 
 def _pair(
-    model: ExtendedModel, alike: tuple[int, int, float], places: int, after: Sequence[tuple[float, str]]
+    model: ExtendedModel, indices: tuple[int, int, float], places: int, after: Sequence[tuple[float, str]]
 ) -> ConfusedPair:
     """The pair with the run that separates it best, of the cosines and names of runs."""
-    i, j, cosine = alike
+    i, j, cosine = indices
     least, name = min(after, default=(cosine, ""))
     first, second = model.candidates[i].label, model.candidates[j].label
     if least > cosine - LEAST_CHANGE:
@@ -153,6 +153,6 @@ def _inverse_root(V: Array) -> Array:
     informed = np.diag(V) > 0
     scale = np.where(informed, 1.0 / np.sqrt(np.where(informed, np.diag(V), 1.0)), 0.0)
     values, vectors = np.linalg.eigh(V * np.outer(scale, scale))
-    kept = values > LEAST_EIGENVALUE * max(float(values.max()), np.finfo(float).tiny)
-    inverse = np.where(kept, 1.0 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
+    is_informed = values > LEAST_EIGENVALUE * max(float(values.max()), np.finfo(float).tiny)
+    inverse = np.where(is_informed, 1.0 / np.sqrt(np.where(is_informed, values, 1.0)), 0.0)
     return np.asarray((inverse[:, None] * vectors.T) * scale)

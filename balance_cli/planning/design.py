@@ -60,10 +60,10 @@ class Problem:
     change_minutes: float
     aim: Aim
 
-    def minutes(self, chosen: Sequence[int]) -> float:
+    def minutes(self, runs: Sequence[int]) -> float:
         """Time of runs: their records, and one change for each set-up, the first one included."""
-        setups = {self.candidates[i].setup for i in chosen}
-        return sum(self.candidates[i].minutes for i in chosen) + self.change_minutes * len(setups)
+        setups = {self.candidates[i].setup for i in runs}
+        return sum(self.candidates[i].minutes for i in runs) + self.change_minutes * len(setups)
 
     @cached_property
     def _known_before(self) -> InformationRows:
@@ -75,13 +75,13 @@ class Problem:
         """That of each candidate."""
         return tuple(information_rows(run.information, self.model) for run in self.information)
 
-    def total(self, chosen: Sequence[int]) -> InformationRows:
+    def total(self, runs: Sequence[int]) -> InformationRows:
         """Information of priors, of the runs before, and of the chosen ones."""
-        return sum((self._rows[i] for i in chosen), self._known_before)
+        return sum((self._rows[i] for i in runs), self._known_before)
 
-    def worth(self, chosen: Sequence[int]) -> float:
+    def worth(self, runs: Sequence[int]) -> float:
         """Worth of what is known after the chosen runs."""
-        return campaign_worth(self.total(chosen), self.model, self.forecast, self.aim)
+        return campaign_worth(self.total(runs), self.model, self.forecast, self.aim)
 
     def worth_with(self, known: InformationRows, run: int) -> float:
         """Worth of what is known after one run more than those of the total `known`."""
@@ -110,67 +110,67 @@ def effect_worth(diagonal: Array, model: ExtendedModel) -> float:
 
 def choose_runs(problem: Problem, minutes: float, deadline: Deadline) -> Design:
     """The runs that teach most in so many minutes; none where none fits. After the deadline none is exchanged."""
-    chosen = _add_greedily(problem, minutes)
+    selection = _add_greedily(problem, minutes)
     for _ in range(MOST_PASSES):
         if deadline.is_over:
             break
-        better = _exchange_once(problem, chosen, minutes)
+        better = _exchange_once(problem, selection, minutes)
         better = _add_greedily(problem, minutes, better)
-        if better == chosen:
+        if better == selection:
             break
-        chosen = better
-    ordered = _order_by_setup(problem, chosen)
+        selection = better
+    ordered = _order_by_setup(problem, selection)
     return Design(tuple(ordered), problem.minutes(ordered))
 
 
-def _add_greedily(problem: Problem, minutes: float, chosen: Sequence[int] = ()) -> list[int]:
-    chosen = list(chosen)
-    worth, used = problem.worth(chosen), problem.minutes(chosen)
+def _add_greedily(problem: Problem, minutes: float, selection: Sequence[int] = ()) -> list[int]:
+    selection = list(selection)
+    worth, used = problem.worth(selection), problem.minutes(selection)
     while True:
-        trials, known = [], problem.total(chosen)
+        trials, known = [], problem.total(selection)
         for i in range(len(problem.candidates)):
-            time = problem.minutes([*chosen, i])
+            time = problem.minutes([*selection, i])
             if time <= minutes + 1e-9:
                 gain = problem.worth_with(known, i) - worth
                 trials.append((gain / max(time - used, 1e-9), -i, gain, time))
         rising = [trial for trial in trials if trial[2] > LEAST_RISE]
         if not rising:
-            return chosen
+            return selection
         _, negative, gain, time = max(rising)
-        chosen.append(-negative)
+        selection.append(-negative)
         worth, used = worth + gain, time
 
 
-def _exchange_once(problem: Problem, chosen: Sequence[int], minutes: float) -> list[int]:
+def _exchange_once(problem: Problem, selection: Sequence[int], minutes: float) -> list[int]:
     """One pass over the chosen runs, each of which the best other run may replace."""
-    chosen = list(chosen)
-    worth = problem.worth(chosen)
-    for place in range(len(chosen)):
-        best = (worth + LEAST_RISE, chosen[place])
-        known = problem.total([*chosen[:place], *chosen[place + 1 :]])
+    selection = list(selection)
+    worth = problem.worth(selection)
+    for place in range(len(selection)):
+        best = (worth + LEAST_RISE, selection[place])
+        known = problem.total([*selection[:place], *selection[place + 1 :]])
         for i in range(len(problem.candidates)):
-            trial = [*chosen[:place], i, *chosen[place + 1 :]]
-            if i != chosen[place] and problem.minutes(trial) <= minutes + 1e-9:
+            trial = [*selection[:place], i, *selection[place + 1 :]]
+            if i != selection[place] and problem.minutes(trial) <= minutes + 1e-9:
                 best = max(best, (problem.worth_with(known, i), i))
-        worth, chosen[place] = (best[0], best[1]) if best[1] != chosen[place] else (worth, chosen[place])
-    return chosen
+        worth, selection[place] = (best[0], best[1]) if best[1] != selection[place] else (worth, selection[place])
+    return selection
 
 
-def _order_by_setup(problem: Problem, chosen: Sequence[int]) -> list[int]:
+def _order_by_setup(problem: Problem, selection: Sequence[int]) -> list[int]:
     """Runs of one set-up together, the set-ups in the order in which they were chosen first."""
-    setups = list(dict.fromkeys(problem.candidates[i].setup for i in chosen))
-    return sorted(chosen, key=lambda i: (setups.index(problem.candidates[i].setup), i))
+    setups = list(dict.fromkeys(problem.candidates[i].setup for i in selection))
+    return sorted(selection, key=lambda i: (setups.index(problem.candidates[i].setup), i))
 
 
-def rank_runs(problem: Problem, chosen: Sequence[int], deadline: Deadline) -> tuple[RankedRun, ...]:
+def rank_runs(problem: Problem, selection: Sequence[int], deadline: Deadline) -> tuple[RankedRun, ...]:
     """Every candidate by itself after what is known before, those that teach most per minute first.
 
     After the deadline only the chosen ones.
     """
     before = problem.worth(())
     rows = []
-    for i in dict.fromkeys((*chosen, *range(len(problem.candidates)))):
-        if i not in chosen and deadline.is_over:
+    for i in dict.fromkeys((*selection, *range(len(problem.candidates)))):
+        if i not in selection and deadline.is_over:
             break
         candidate = problem.candidates[i]
         minutes = problem.minutes([i])
@@ -184,8 +184,8 @@ def _load_ratio(problem: Problem, candidate: int) -> float | None:
         return None
     model, forecast = problem.model, problem.forecast
     with_run, without = (
-        parameter_sigma(forecast, model, project_rows(problem.total(chosen), model).covariance)
-        for chosen in ((candidate,), ())
+        parameter_sigma(forecast, model, project_rows(problem.total(runs), model).covariance)
+        for runs in ((candidate,), ())
     )
     known = (with_run > 0) & (without > 0)
     return float(np.exp(np.mean(np.log(with_run[known] / without[known])))) if known.any() else None

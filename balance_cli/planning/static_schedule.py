@@ -99,8 +99,8 @@ def plan_static_schedule(
         fault = f"{points} points are not {len(terms) + 1} (the coefficients) to {MOST_POINTS}"
         raise UserError(fault, "--points", remedy="Give more points, or fewer --terms")
     candidates = candidate_points(len(components), min(together, len(components)), LEVELS[term_set])
-    chosen = _exchange(_design(terms, candidates), _start(_design(terms, candidates), points))
-    optimal = _describe(candidates[np.sort(chosen)], terms, components)
+    selection = _exchange(_design(terms, candidates), _start(_design(terms, candidates), points))
+    optimal = _describe(candidates[np.sort(selection)], terms, components)
     single = _describe(one_load_at_a_time(len(components), points), terms, components)
     return StaticSchedule(
         components=tuple(components),
@@ -145,37 +145,37 @@ def _design(terms: Sequence[Term], x: Array) -> Array:
 def _start(X: Array, points: int) -> Index:
     """Points added one by one, each where the variance of the prediction is largest."""
     inverse = np.eye(X.shape[1]) / REGULARIZATION
-    chosen = []
+    selection = []
     for _ in range(points):
         variance = np.einsum("np,pq,nq->n", X, inverse, X)
         best = int(np.argmax(variance))
-        chosen.append(best)
+        selection.append(best)
         step = inverse @ X[best]
         inverse = inverse - np.outer(step, step) / (1.0 + variance[best])
-    return np.array(chosen, np.intp)
+    return np.array(selection, np.intp)
 
 
-def _exchange(X: Array, chosen: Index) -> Index:
+def _exchange(X: Array, selection: Index) -> Index:
     """Fedorov's exchange: each point by the candidate that raises the determinant most, while any does.
 
     With d(a, b) = a' M^-1 b the determinant grows by (1 + d(new, new)) (1 - d(old, old)) + d(old, new)^2.
     """
-    chosen = chosen.copy()
+    selection = selection.copy()
     ridge = REGULARIZATION * np.eye(X.shape[1])
     for _ in range(MOST_PASSES):
         changed = False
-        for place in range(len(chosen)):
-            inverse = np.linalg.inv(X[chosen].T @ X[chosen] + ridge)
+        for place in range(len(selection)):
+            inverse = np.linalg.inv(X[selection].T @ X[selection] + ridge)
             through = X @ inverse
             variance = np.sum(through * X, axis=1)
-            cross = through @ X[chosen[place]]
-            growth = (1.0 + variance) * (1.0 - variance[chosen[place]]) + cross**2
+            cross = through @ X[selection[place]]
+            growth = (1.0 + variance) * (1.0 - variance[selection[place]]) + cross**2
             best = int(np.argmax(growth))
-            if np.log(max(growth[best], 1e-300)) > LEAST_RISE and best != chosen[place]:
-                chosen[place], changed = best, True
+            if np.log(max(growth[best], 1e-300)) > LEAST_RISE and best != selection[place]:
+                selection[place], changed = best, True
         if not changed:
             break
-    return chosen
+    return selection
 
 
 def _describe(x: Array, terms: Sequence[Term], components: Sequence[str]) -> ScheduleDesign:

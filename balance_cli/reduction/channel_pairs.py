@@ -63,8 +63,8 @@ def contradicted_pairs(
         return ()
     live = record.health.live
     frequency = record.spectra.frequency_hz[1:]
-    picked = source.channel_combination(frequency[:1], live)
-    if not picked.rows_are_channels:
+    combination = source.channel_combination(frequency[:1], live)
+    if not combination.rows_are_channels:
         return ()
     sources = {channel.name: channel.source for channel in geometry.channels}
     by_source: dict[str, list[int]] = {}
@@ -73,7 +73,7 @@ def contradicted_pairs(
     pairs = [(members[0], other) for members in by_source.values() for other in members[1:]]
     if not pairs:
         return ()
-    return tuple(_contradictions(record, geometry, response[:, picked.rows], pairs))
+    return tuple(_contradictions(record, geometry, response[:, combination.rows], pairs))
 
 
 def _contradictions(

@@ -46,15 +46,15 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
     deviations. Where a component as a whole differs by more than a tenth, all its harmonics in all runs are flagged.
     """
-    found, with_wrong_rows = list[CheckContradiction](), False
+    contradictory, with_wrong_rows = list[CheckContradiction](), False
     for name, loads in runs.items():
         if loads.check is None:
             continue
         with_wrong_rows |= bool(_contradicted_rows(loads).any())
         if components := contradicted_components(loads):
-            found.append(CheckContradiction(name, components))
-    contradictions = tuple(found)
-    return (_FlaggedRuns(runs, contradictions) if found or with_wrong_rows else runs), contradictions
+            contradictory.append(CheckContradiction(name, components))
+    contradictions = tuple(contradictory)
+    return (_FlaggedRuns(runs, contradictions) if contradictory or with_wrong_rows else runs), contradictions
 
 
 class _FlaggedRuns(Mapping[str, RunLoads]):

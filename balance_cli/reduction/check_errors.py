@@ -106,13 +106,15 @@ def scale_contradiction(check: CheckErrors, loads: ComplexArray, components: tup
     Only a component counts whose reduced harmonics have the pattern of the applied ones, so that a wrong response,
     which changes the pattern, is not taken for a wrong unit.
     """
-    found = {}
+    factors = {}
     for name in check.load_error:
         applied, reduced = (values[1:, components.index(name)] for values in (check.applied, loads))
         product, power = np.vdot(applied, reduced), float(np.vdot(applied, applied).real)
         pattern = abs(product) / np.sqrt(power * max(float(np.vdot(reduced, reduced).real), np.finfo(float).tiny))
         factor = float(product.real) / power
         if pattern > SAME_PATTERN and not SMALLEST_FACTOR < factor < LARGEST_FACTOR:
-            found[name] = factor
-    text = ", ".join(f"{name} {factor:.4g}" for name, factor in found.items())
-    return f"reduced loads over applied ones: {text}; check units and signs of `loads` and `channels`" if found else ""
+            factors[name] = factor
+    text = ", ".join(f"{name} {factor:.4g}" for name, factor in factors.items())
+    return (
+        f"reduced loads over applied ones: {text}; check units and signs of `loads` and `channels`" if factors else ""
+    )

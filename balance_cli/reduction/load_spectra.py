@@ -227,8 +227,8 @@ def _complex_covariance(real: Array, rows: list[int]) -> ComplexArray:
     """Return E[e e*] (k, r, r) of chosen rows from the covariance (k, 2a, 2a) of [Re e, Im e]."""
     a = real.shape[1] // 2
     cc, ss, sc = real[:, :a, :a], real[:, a:, a:], real[:, a:, :a]
-    whole = cc + ss + 1j * (sc - sc.swapaxes(1, 2))
-    return np.asarray(whole[:, np.array(rows)[:, None], rows])
+    covariance = cc + ss + 1j * (sc - sc.swapaxes(1, 2))
+    return np.asarray(covariance[:, np.array(rows)[:, None], rows])
 
 
 def _known_covariance(
@@ -260,10 +260,10 @@ def _load_error(
     spectra: CrossSpectra, inversion: _Inversion, components: tuple[str, ...], geometry: Geometry, channels: int
 ) -> dict[str, float]:
     """Return rms(reduced - applied) / rms(applied) over the band for each component that was applied."""
-    picked = [channels + COMPONENTS.index(name) for name in components]
+    columns = [channels + COMPONENTS.index(name) for name in components]
     H = anti_alias_response(geometry.acquisition, spectra.frequency)
     applied = np.zeros((len(H), len(components), spectra.density.shape[1]), complex)
-    applied[:, np.arange(len(picked)), picked] = 1.0 / H[:, None]
+    applied[:, np.arange(len(columns)), columns] = 1.0 / H[:, None]
     difference = -applied
     difference[:, :, :channels] += inversion.G @ inversion.combination
     error, size = (_power(matrix @ spectra.density @ _adjoint(matrix)).sum(axis=0) for matrix in (difference, applied))

@@ -93,8 +93,10 @@ def operational_modes(
     frequency, spectra = _tapered_spectra(read_channels(run, names, first, last), run.sample_rate)
     noise = np.sqrt(channel_noise(CleanRecord(run, names, ((first, last),)), acquisition))
     usable = _between_harmonics(frequency, azimuths, record.spectra.interval)
-    found = [_estimate_mode(k, s, volts / noise[:, None], frequency, spectra / noise, usable) for k in range(len(s))]
-    values = np.array(found, float).reshape(-1, 2)
+    estimates = [
+        _estimate_mode(k, s, volts / noise[:, None], frequency, spectra / noise, usable) for k in range(len(s))
+    ]
+    values = np.array(estimates, float).reshape(-1, 2)
     return OperationalModes(np.abs(s) / (2.0 * np.pi), values[:, 0], values[:, 1])
 
 
@@ -146,8 +148,8 @@ def _modal_filter(k: int, size: Array, volts: ComplexArray) -> ComplexArray | No
     near = np.abs(size / size[k] - 1.0) < NEIGHBORS
     shapes = volts[:, near] / np.maximum(np.linalg.norm(volts[:, near], axis=0), np.finfo(float).tiny)
     U, singular, V = np.linalg.svd(shapes, full_matrices=False)
-    kept = singular > LEAST_SEPARATION * singular[0]
-    weights = (V[kept].conj().T / singular[kept]) @ U[:, kept].conj().T
+    is_separate = singular > LEAST_SEPARATION * singular[0]
+    weights = (V[is_separate].conj().T / singular[is_separate]) @ U[:, is_separate].conj().T
     own = int(np.count_nonzero(near[:k]))
     return np.asarray(weights[own]) if abs(weights[own] @ shapes[:, own] - 1.0) < LEAST_SEPARATION else None
 

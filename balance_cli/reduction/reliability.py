@@ -42,16 +42,16 @@ class UnnoticedErrors:
     def describe(self, components: Sequence[str], size: Array, sigma: Array) -> str:
         """Return sensors and loads that matter, in words, for loads of this size and sigma (h, m); empty without."""
         share = np.where(self.change > NOTABLE_SIGMAS * sigma, self.change / np.where(size > 0.0, size, np.inf), 0.0)
-        found: dict[str, list[str]] = {}
+        parts_by_sensor: dict[str, list[str]] = {}
         for j, component in enumerate(components):
             n = int(np.argmax(share[:, j]))
             if share[n, j] > NOTABLE_CHANGE:
                 part = f"{component} at harmonic {n + 1} by {100.0 * share[n, j]:.2g} %"
-                found.setdefault(self.sensors[self.sensor[n, j]], []).append(part)
+                parts_by_sensor.setdefault(self.sensors[self.sensor[n, j]], []).append(part)
         return "; ".join(
             f"an error in {sensor} that the redundancy does not show, {100.0 * SENSOR_ERROR:g} % at most, "
             f"changes {', '.join(parts)}"
-            for sensor, parts in found.items()
+            for sensor, parts in parts_by_sensor.items()
         )
 
 

@@ -98,9 +98,9 @@ def _modulation(carriers: CarrierEnvelopes, k: int, amplitude: ComplexArray, res
 
     envelope, count = carriers.envelopes[k], len(response.rows)
     lines = fft(envelope)
-    kept = np.flatnonzero(np.abs(lines) > LEAST_LINE * np.abs(lines).max())
-    frequency = np.abs(carriers.frequency[k] + carriers.grid[kept])
-    share = fft(carriers.weight * envelope)[kept].conj() * lines[kept]
+    strong = np.flatnonzero(np.abs(lines) > LEAST_LINE * np.abs(lines).max())
+    frequency = np.abs(carriers.frequency[k] + carriers.grid[strong])
+    share = fft(carriers.weight * envelope)[strong].conj() * lines[strong]
     share /= share.sum()
     T, H = response.at(frequency), response.filter(frequency)
     mean = np.einsum("f,fcj->cj", share, T)
@@ -109,5 +109,5 @@ def _modulation(carriers: CarrierEnvelopes, k: int, amplitude: ComplexArray, res
     loads = np.linalg.lstsq(mean / scale, amplitude[:count], rcond=None)[0] / scale
     driven = np.hstack([T @ loads, np.outer(H / (share @ H), amplitude[count:])])
     spectrum = np.zeros((len(lines), len(amplitude)), complex)
-    spectrum[kept] = (driven - share @ driven) * lines[kept, None]
+    spectrum[strong] = (driven - share @ driven) * lines[strong, None]
     return np.asarray(ifft(spectrum, axis=0))

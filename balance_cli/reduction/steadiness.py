@@ -84,13 +84,13 @@ def examine_steadiness(
     start = max(len(loads) - int((last - first) / duration), 0)
     within = loads[start:]
     loads[:, 0] = _beyond_transient(loads[:, 0], start, of_harmonics)
-    found = unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
+    is_unsteady = unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
     limit = np.maximum(sigma, _material_change(np.abs(within.mean(axis=0))) / 3.0)
-    found[1:] = unsteady(within, limit, correlation)[1:]
+    is_unsteady[1:] = unsteady(within, limit, correlation)[1:]
     change = common_change(within[:, 1:])
     if change is None:
-        return Steadiness(found)
-    return Steadiness(np.ones_like(found), _explain(change, first + change.window * duration))
+        return Steadiness(is_unsteady)
+    return Steadiness(np.ones_like(is_unsteady), _explain(change, first + change.window * duration))
 
 
 def _explain(change: CommonChange, time: float) -> str:
@@ -125,8 +125,8 @@ def _beyond_transient(means: ComplexArray, start: int, decay: float) -> ComplexA
     departure = means[:start] - steady
     size = np.abs(departure)
     envelope = size[steps <= 1.0].max(axis=0) * np.exp(1.0 - steps)[:, None]
-    kept = np.maximum(size - envelope, 0.0) / np.where(size > 0, size, 1.0)
-    return np.concatenate([steady + departure * kept, means[start:]])
+    share = np.maximum(size - envelope, 0.0) / np.where(size > 0, size, 1.0)
+    return np.concatenate([steady + departure * share, means[start:]])
 
 
 def _first_revolution(record: RotorRecord, source: ResponseSource) -> int:

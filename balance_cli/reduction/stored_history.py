@@ -73,6 +73,6 @@ def read_history(path: Path) -> StoredHistory:
     if time.ndim != 1 or loads.shape != (len(time), len(COMPONENTS)) or sigma.shape != loads.shape:
         fault = f"`loads` {loads.shape} and `sigma` {sigma.shape} do not fit `time` {time.shape}"
         raise UserError(fault, str(path), remedy="Reduce the run again with --history")
-    kept = [k for k in range(len(COMPONENTS)) if np.isfinite(loads[:, k]).any()]
-    names = tuple(COMPONENTS[k] for k in kept)
-    return StoredHistory(run, names, time, loads[:, kept], sigma[:, kept], has_mean)
+    columns = [k for k in range(len(COMPONENTS)) if np.isfinite(loads[:, k]).any()]
+    names = tuple(COMPONENTS[k] for k in columns)
+    return StoredHistory(run, names, time, loads[:, columns], sigma[:, columns], has_mean)

@@ -57,14 +57,14 @@ def opposite_means(runs: Iterable[RunLoads], calibration: Calibration | None) ->
     for run in runs if loaded else ():
         if run.kind != "wind":
             continue
-        found = [item for trim in loaded if (item := _compare(run, trim)) is not None]
-        if found and all(item.components for item in found):
-            yield min(found, key=lambda item: len(item.components))
+        candidates = [item for trim in loaded if (item := _compare(run, trim)) is not None]
+        if candidates and all(item.components for item in candidates):
+            yield min(candidates, key=lambda item: len(item.components))
 
 
-def flag_opposite_means(runs: Mapping[str, RunLoads], found: Sequence[OppositeMeans]) -> Mapping[str, RunLoads]:
+def flag_opposite_means(runs: Mapping[str, RunLoads], opposite: Sequence[OppositeMeans]) -> Mapping[str, RunLoads]:
     """Return the loads with those of reversed components flagged, of all where all are reversed."""
-    flagged = {item.run: _flag(runs[item.run], item) for item in found}
+    flagged = {item.run: _flag(runs[item.run], item) for item in opposite}
     return ChainMap(flagged, runs) if flagged else runs  # type: ignore[arg-type]  # which is only read
 
 
@@ -87,8 +87,10 @@ def _compare(run: RunLoads, trim: TrimCalibration) -> OppositeMeans | None:
     with np.errstate(invalid="ignore"):
         ratio = mean / trim.mean_load[[trim.components.index(name) for name in names]]
         size = np.abs(ratio)
-        alike = (size < LARGEST_SIZE_RATIO) & (size > 1.0 / LARGEST_SIZE_RATIO) & (np.abs(mean) > LEAST_SIGNAL * sigma)
-    if not alike.all():
+        is_comparable = (
+            (size < LARGEST_SIZE_RATIO) & (size > 1.0 / LARGEST_SIZE_RATIO) & (np.abs(mean) > LEAST_SIGNAL * sigma)
+        )
+    if not is_comparable.all():
         return None
     opposite = tuple(name for name, value in zip(names, ratio, strict=True) if value < 0.0)
     return OppositeMeans(run.run, trim.trim, opposite, len(opposite) == len(names))

@@ -160,18 +160,18 @@ def _common_sign(before: RunLoads, after: RunLoads) -> int:
     products = _harmonic_products(before, after)
     correlation = 0.0 if products is None else float(products.sum().real)
     if abs(correlation) <= LEAST_CORRELATION:
-        clear, alike = _likeness(before, after)
+        clear, likeness = _likeness(before, after)
         decides = clear[0].sum() >= FEWEST_MEANS
-        correlation = float(alike[0, clear[0]].real.mean()) if decides else 0.0
+        correlation = float(likeness[0, clear[0]].real.mean()) if decides else 0.0
     return int(np.sign(correlation)) if abs(correlation) > LEAST_CORRELATION else 0
 
 
 def _harmonic_products(before: RunLoads, after: RunLoads) -> ComplexArray | None:
     """Return the part (n,) of each harmonic in the correlation of two runs; None where too few loads are clear."""
-    clear, alike = (values[1:] for values in _likeness(before, after))
+    clear, likeness = (values[1:] for values in _likeness(before, after))
     if clear.any(axis=1).sum() < FEWEST_HARMONICS or clear.sum() < FEWEST_LOADS:
         return None
-    return np.asarray(np.where(clear, alike, 0.0).sum(axis=1) / clear.sum())
+    return np.asarray(np.where(clear, likeness, 0.0).sum(axis=1) / clear.sum())
 
 
 def _likeness(before: RunLoads, after: RunLoads) -> tuple[NDArray[np.bool_], ComplexArray]:
@@ -184,8 +184,8 @@ def _likeness(before: RunLoads, after: RunLoads) -> tuple[NDArray[np.bool_], Com
         return np.zeros((count, 0), bool), np.zeros((count, 0), complex)
     first, second = before.amplitude[:count], after.amplitude[:count]
     with np.errstate(invalid="ignore", divide="ignore"):
-        alike = 2.0 * first.conj() * second / (np.abs(first) ** 2 + np.abs(second) ** 2)
-    return _clear(before)[:count] & _clear(after)[:count], alike
+        likeness = 2.0 * first.conj() * second / (np.abs(first) ** 2 + np.abs(second) ** 2)
+    return _clear(before)[:count] & _clear(after)[:count], likeness
 
 
 def _clear(run: RunLoads) -> NDArray[np.bool_]:

@@ -63,97 +63,97 @@ def section(sources: Sources) -> Section | None:
     return Section("diagnosis", "Diagnosis: what the model lacks", tuple(blocks))
 
 
-def _diagnosis_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
-    yield from _verdict_blocks(made)
+def _diagnosis_blocks(diagnosis: Diagnosis, suffix: str) -> Iterator[PageBlock]:
+    yield from _verdict_blocks(diagnosis)
     yield Heading("What the residual looked like")
-    yield from residual_blocks(made, suffix)
-    yield _residual_picture(made, suffix)
-    yield from _effect_blocks(made)
+    yield from residual_blocks(diagnosis, suffix)
+    yield _residual_picture(diagnosis, suffix)
+    yield from _effect_blocks(diagnosis)
     yield Heading("What was ruled out, and why")
-    yield from _ruled_out_blocks(made)
+    yield from _ruled_out_blocks(diagnosis)
     yield Heading("What the effects are worth in hub loads")
-    yield from _worth_blocks(made, suffix)
+    yield from _worth_blocks(diagnosis, suffix)
     yield Heading("What would settle what remains")
-    yield from open_question_blocks(made)
+    yield from open_question_blocks(diagnosis)
     yield Heading("Eigenfrequencies before and after")
-    yield mode_table(made)
+    yield mode_table(diagnosis)
 
 
-def _effect_blocks(made: Diagnosis) -> Iterator[PageBlock]:
+def _effect_blocks(diagnosis: Diagnosis) -> Iterator[PageBlock]:
     """How the effects were found, with their evidence and parameters."""
     yield Heading("What explained it")
-    if not made.effects:
-        yield Paragraph(f"Nothing: of {made.candidate_count} candidates none was accepted.")
+    if not diagnosis.effects:
+        yield Paragraph(f"Nothing: of {diagnosis.candidate_count} candidates none was accepted.")
         return
-    yield BulletList(tuple(accepted_sentences(made)))
-    if not made.chi2_per_dof_after <= GOOD_FIT_CHI2_PER_DOF:
+    yield BulletList(tuple(accepted_sentences(diagnosis)))
+    if not diagnosis.chi2_per_dof_after <= GOOD_FIT_CHI2_PER_DOF:
         yield WarningText(
             "The updated model does not describe these data to within their noise: the uncertainties of the "
             "parameters below are underestimated."
         )
-    yield from (effect_table(made.effects), parameter_table(made.effects))
+    yield from (effect_table(diagnosis.effects), parameter_table(diagnosis.effects))
 
 
-def _ruled_out_blocks(made: Diagnosis) -> Iterator[PageBlock]:
-    items = tuple(capitalize_first(item) for item in ruled_out_items(made))
+def _ruled_out_blocks(diagnosis: Diagnosis) -> Iterator[PageBlock]:
+    items = tuple(capitalize_first(item) for item in ruled_out_items(diagnosis))
     yield BulletList(items) if items else Paragraph("These runs rule out nothing by themselves.")
-    yield from _trial_blocks(made.trials)
-    yield from _model_free_test_blocks(made)
+    yield from _trial_blocks(diagnosis.trials)
+    yield from _model_free_test_blocks(diagnosis)
 
 
-def _worth_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
-    table = worth_table(made.effects)
+def _worth_blocks(diagnosis: Diagnosis, suffix: str) -> Iterator[PageBlock]:
+    table = worth_table(diagnosis.effects)
     if table is not None:
         yield table
-    yield from worth_paragraphs(made)
-    yield from _hold_out_blocks(made, suffix)
+    yield from worth_paragraphs(diagnosis)
+    yield from _hold_out_blocks(diagnosis, suffix)
 
 
-def _verdict_blocks(made: Diagnosis) -> Iterator[PageBlock]:
-    words = f"{capitalize_first(made.verdict)}: {made.meaning}."
-    yield Paragraph(words) if made.verdict in (NOTHING_MISSING, EXPLAINED) else WarningText(words)
-    yield KeyFigures(tuple(_key_figures(made)))
-    if made.location:
-        yield WarningText(f"Residual of the updated model: {made.location.rstrip('.')}.")
-    if any(effect.evidence.empirical for effect in made.effects):
+def _verdict_blocks(diagnosis: Diagnosis) -> Iterator[PageBlock]:
+    words = f"{capitalize_first(diagnosis.verdict)}: {diagnosis.meaning}."
+    yield Paragraph(words) if diagnosis.verdict in (NOTHING_MISSING, EXPLAINED) else WarningText(words)
+    yield KeyFigures(tuple(_key_figures(diagnosis)))
+    if diagnosis.location:
+        yield WarningText(f"Residual of the updated model: {diagnosis.location.rstrip('.')}.")
+    if any(effect.evidence.empirical for effect in diagnosis.effects):
         yield WarningText("An empirical effect describes the residual; it does not explain it.")
-    if made.notes:
-        yield BulletList(tuple(capitalize_first(note) for note in made.notes))
+    if diagnosis.notes:
+        yield BulletList(tuple(capitalize_first(note) for note in diagnosis.notes))
 
 
-def _key_figures(made: Diagnosis) -> Iterator[tuple[str, str, str]]:
-    count = len(made.effects)
-    yield str(count), f"effect{'' if count == 1 else 's'} found among {made.candidate_count} candidates", ""
-    stages = ((made.chi2_per_dof_before, "before"), (made.chi2_per_dof_after, "after"))
+def _key_figures(diagnosis: Diagnosis) -> Iterator[tuple[str, str, str]]:
+    count = len(diagnosis.effects)
+    yield str(count), f"effect{'' if count == 1 else 's'} found among {diagnosis.candidate_count} candidates", ""
+    stages = ((diagnosis.chi2_per_dof_before, "before"), (diagnosis.chi2_per_dof_after, "after"))
     for ratio, stage in stages:
         yield (
             format_significant(ratio),
             f"chi2/dof {stage} updating",
             "good" if ratio <= GOOD_FIT_CHI2_PER_DOF else "bad",
         )
-    yield f"{format_percent(made.frf_error_before)} %", "error of the responses before updating", ""
-    yield f"{format_percent(made.frf_error_after)} %", "error of the responses after updating", ""
+    yield f"{format_percent(diagnosis.frf_error_before)} %", "error of the responses before updating", ""
+    yield f"{format_percent(diagnosis.frf_error_after)} %", "error of the responses after updating", ""
 
 
-def _hold_out_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
-    if not made.hold_out:
+def _hold_out_blocks(diagnosis: Diagnosis, suffix: str) -> Iterator[PageBlock]:
+    if not diagnosis.hold_out:
         yield WarningText("No run was held out: the gain in accuracy is not verified.")
         return
-    yield hold_out_table(made)
-    if any(errors.after.load_error or errors.after.interaction for errors in made.hold_out.values()):
+    yield hold_out_table(diagnosis)
+    if any(errors.after.load_error or errors.after.interaction for errors in diagnosis.hold_out.values()):
         caption = "Errors by component before and after updating, rms over the runs; black: noise floor."
         name = f"hold-out{suffix}"
-        yield Picture(name, caption, svg(name, caption, lambda: hold_out_figure(made)))
-    yield Details("Each hold-out run", tuple(run_tables(made)))
+        yield Picture(name, caption, svg(name, caption, lambda: hold_out_figure(diagnosis)))
+    yield Details("Each hold-out run", tuple(run_tables(diagnosis)))
 
 
-def _residual_picture(made: Diagnosis, suffix: str) -> Picture:
+def _residual_picture(diagnosis: Diagnosis, suffix: str) -> Picture:
     caption = (
         "Whitened residual, rms within frequency bands: by run over all channels, and by channel over all runs. The "
         "noise alone gives 1; gray: no line in the band. All bands are drawn equally wide."
     )
     name = f"residual{suffix}"
-    return Picture(name, caption, svg(name, caption, lambda: residual_figure(made.residual)))
+    return Picture(name, caption, svg(name, caption, lambda: residual_figure(diagnosis.residual)))
 
 
 def _trial_blocks(trials: Sequence[Trial]) -> Iterator[PageBlock]:
@@ -161,14 +161,14 @@ def _trial_blocks(trials: Sequence[Trial]) -> Iterator[PageBlock]:
     if not trials:
         return
     yield Heading("Sequence of trials")
-    tried = [trial for trial in trials if trial.decision != "not refitted"]
+    refitted = [trial for trial in trials if trial.decision != "not refitted"]
     others = [trial for trial in trials if trial.decision == "not refitted"]
     caption = (
         "Predicted gain: reduction of chi-square by the score test, before a refit; p: of that, corrected for the "
         "number of candidates; gain: by the refit, minus a penalty for parameters and candidates."
     )
-    if tried:
-        yield _trial_table(caption, tried)
+    if refitted:
+        yield _trial_table(caption, refitted)
     if others:
         yield Details(f"{len(others)} candidates without a refit", (_trial_table(caption, others),))
 
@@ -193,19 +193,20 @@ def _trial_row(trial: Trial) -> Row:
     )
 
 
-def _model_free_test_blocks(made: Diagnosis) -> Iterator[PageBlock]:
+def _model_free_test_blocks(diagnosis: Diagnosis) -> Iterator[PageBlock]:
     """Significant tests of the data, the others in a folded table."""
-    if made.data_tests:
+    if diagnosis.data_tests:
         yield Heading("Tests of the data without a model")
-        differing = [test for test in made.data_tests if test.p_value < TEST_SIGNIFICANCE]
-        alike = [test for test in made.data_tests if not test.p_value < TEST_SIGNIFICANCE]
+        differing = [test for test in diagnosis.data_tests if test.p_value < TEST_SIGNIFICANCE]
+        insignificant = [test for test in diagnosis.data_tests if not test.p_value < TEST_SIGNIFICANCE]
         if differing:
             yield _test_table("Significant differences.", differing)
         else:
             yield Paragraph("No difference is significant.")
-        if alike:
+        if insignificant:
             yield Details(
-                f"{len(alike)} tests without a significant difference", (_test_table("Not significant.", alike),)
+                f"{len(insignificant)} tests without a significant difference",
+                (_test_table("Not significant.", insignificant),),
             )
 
 

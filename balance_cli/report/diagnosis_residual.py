@@ -36,11 +36,11 @@ class Share:
     share: float
 
 
-def residual_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
+def residual_blocks(diagnosis: Diagnosis, suffix: str) -> Iterator[PageBlock]:
     """Yield the sentence, the table of shares, and the charts of size and correlation of the residual."""
-    residual = made.residual
+    residual = diagnosis.residual
     groups = residual_shares(residual)
-    yield Paragraph(_sentence(made, groups))
+    yield Paragraph(_sentence(diagnosis, groups))
     if any(groups.values()) and _exceeds_noise(residual):
         yield _share_table(groups)
     if np.isfinite(residual.before).any():
@@ -87,15 +87,15 @@ def _band_names(edges: Array) -> tuple[str, ...]:
     return tuple("at rest" if low == 0.0 else f"{low:.4g} to {high:.4g} Hz" for low, high in pairwise(edges))
 
 
-def _sentence(made: Diagnosis, groups: dict[str, list[Share]]) -> str:
-    before, after = _rms(made.residual.before), _rms(made.residual.after)
+def _sentence(diagnosis: Diagnosis, groups: dict[str, list[Share]]) -> str:
+    before, after = _rms(diagnosis.residual.before), _rms(diagnosis.residual.after)
     words = (
         f"Before updating the rms residual was {format_significant(before)} times the noise; after it, "
         f"{format_significant(after)} times."
     )
     main = [_main_text(kind, parts) for kind, parts in groups.items() if parts]
     named = [text for text in main if text]
-    if not _exceeds_noise(made.residual):
+    if not _exceeds_noise(diagnosis.residual):
         return f"{words} There was nothing beyond the noise to explain."
     return f"{words} Most of it was {join_names(named)}." if named else words
 
@@ -142,12 +142,12 @@ def _frequency_chart(residual: ResidualMap, suffix: str) -> Chart:
     if residual.excited is not None:
         for name in dict.fromkeys(name for name in residual.excited if name):
             groups.append((name, [i for i, other in enumerate(residual.excited) if other == name]))
-    made = tuple(PlotGroup(label, (_frequency_plot(residual, label, index),)) for label, index in groups)
+    plot_groups = tuple(PlotGroup(label, (_frequency_plot(residual, label, index),)) for label, index in groups)
     caption = (
         "Residual over its noise, rms over channels and runs in each frequency band, before and after updating. White "
         "residuals lie at 1 everywhere."
     )
-    return Chart(f"residual-frequency{suffix}", caption, made, "frequency", wide=True)
+    return Chart(f"residual-frequency{suffix}", caption, plot_groups, "frequency", wide=True)
 
 
 def _frequency_plot(residual: ResidualMap, label: str, runs: list[int]) -> Plot:

@@ -37,15 +37,15 @@ RULED_OUT_BY = {
 """What equal data say, by the name of the test."""
 
 
-def accepted_sentences(made: Diagnosis) -> Iterator[str]:
+def accepted_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield for each effect found how it came in, and the misfit without it."""
-    for effect in sorted(made.effects, key=lambda effect: effect.evidence.round):
-        yield f"{effect.label}: {_entry_text(made, effect)}.{_without_text(made, effect)}"
+    for effect in sorted(diagnosis.effects, key=lambda effect: effect.evidence.round):
+        yield f"{effect.label}: {_entry_text(diagnosis, effect)}.{_without_text(diagnosis, effect)}"
 
 
-def _entry_text(made: Diagnosis, effect: FoundEffect) -> str:
+def _entry_text(diagnosis: Diagnosis, effect: FoundEffect) -> str:
     number = effect.evidence.round
-    trials = [trial for trial in made.trials if trial.round == number and trial.gain == trial.gain]
+    trials = [trial for trial in diagnosis.trials if trial.round == number and trial.gain == trial.gain]
     own = next((trial for trial in trials if trial.label == effect.label and trial.decision == "accepted"), None)
     if own is None:
         return f"added in round {number}"
@@ -63,37 +63,37 @@ def _largest(trials: Sequence[Trial]) -> list[Trial]:
     return sorted(trials, key=lambda trial: -trial.gain)[:3]
 
 
-def chi2_per_dof_without(made: Diagnosis, effect: FoundEffect) -> float:
+def chi2_per_dof_without(diagnosis: Diagnosis, effect: FoundEffect) -> float:
     """Return chi2/dof of the updated model without one of its effects; NaN where it cannot be told."""
-    if not made.dof:
+    if not diagnosis.dof:
         return float("nan")
-    return made.chi2_per_dof_after + effect.evidence.gain / made.dof
+    return diagnosis.chi2_per_dof_after + effect.evidence.gain / diagnosis.dof
 
 
-def _without_text(made: Diagnosis, effect: FoundEffect) -> str:
-    value = chi2_per_dof_without(made, effect)
+def _without_text(diagnosis: Diagnosis, effect: FoundEffect) -> str:
+    value = chi2_per_dof_without(diagnosis, effect)
     if value != value:
         return ""
-    before = format_significant(made.chi2_per_dof_after)
+    before = format_significant(diagnosis.chi2_per_dof_after)
     return f" Without it chi2/dof would be {format_significant(value)} in place of {before}."
 
 
-def ruled_out_items(made: Diagnosis) -> Iterator[str]:
+def ruled_out_items(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what the data rule out by themselves, then the candidates that were refitted and not taken."""
-    names = dict.fromkeys(test.name for test in made.data_tests)
+    names = dict.fromkeys(test.name for test in diagnosis.data_tests)
     for name in names:
-        yield from _test_items([test for test in made.data_tests if test.name == name])
-    found = {effect.label for effect in made.effects}
+        yield from _test_items([test for test in diagnosis.data_tests if test.name == name])
+    accepted = {effect.label for effect in diagnosis.effects}
     reasons: dict[str, list[str]] = {}
-    for trial in made.trials:
-        refused = trial.decision in ("rejected", "removed") and trial.label not in found
+    for trial in diagnosis.trials:
+        refused = trial.decision in ("rejected", "removed") and trial.label not in accepted
         if refused and trial.label not in reasons.setdefault(trial.reason or "no gain", []):
             reasons[trial.reason or "no gain"].append(trial.label)
     for reason, labels in reasons.items():
         more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
         yield f"{', '.join(labels[:6])}{more}: {reason}"
-    tried = {trial.label for trial in made.trials if trial.decision != "not refitted"}
-    left = made.candidate_count - len(found | tried)
+    refitted = {trial.label for trial in diagnosis.trials if trial.decision != "not refitted"}
+    left = diagnosis.candidate_count - len(accepted | refitted)
     if left > 0:
         yield f"the score test ranked {left} further candidates lower; none of them was refitted"
 
@@ -134,9 +134,9 @@ def worth_table(effects: Sequence[FoundEffect]) -> Table | None:
     return Table(caption, (head,), tuple(rows))
 
 
-def worth_paragraphs(made: Diagnosis) -> Iterator[PageBlock]:
+def worth_paragraphs(diagnosis: Diagnosis) -> Iterator[PageBlock]:
     """Yield one sentence on all effects together: errors of known hub loads before and after."""
-    before, after = (pooled_hold_out_errors(made, stage, "load_error") for stage in ("before", "after"))
+    before, after = (pooled_hold_out_errors(diagnosis, stage, "load_error") for stage in ("before", "after"))
     names = [name for name in after if name in before]
     if names:
         worst = max(names, key=lambda name: before[name].value)
@@ -147,32 +147,32 @@ def worth_paragraphs(made: Diagnosis) -> Iterator[PageBlock]:
         )
 
 
-def open_question_items(made: Diagnosis) -> Iterator[str]:
+def open_question_items(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield what remains open, each with the measurement that would settle it."""
-    if made.verdict == CONTRADICTED:
+    if diagnosis.verdict == CONTRADICTED:
         yield "the update makes hold-out runs worse: do not use it; find what differs between these and the other runs"
-    if made.left_out is not None:
-        yield made.left_out.description
-    for effect in made.effects:
+    if diagnosis.left_out is not None:
+        yield diagnosis.left_out.description
+    for effect in diagnosis.effects:
         if effect.indistinguishable_from:
             remedy = f": {effect.separated_by} separates them" if effect.separated_by else ""
             others = join_names(effect.indistinguishable_from)
             yield f"{effect.label} cannot be told from {others} with these runs{remedy}"
         if effect.evidence.empirical:
             yield f"{effect.label} describes a resonance without naming its cause: search for a part that moves there"
-    for item in made.untestable_effects:
+    for item in diagnosis.untestable_effects:
         yield f"{item.name} was not tested: {item.reason}"
-    if not made.hold_out:
+    if not diagnosis.hold_out:
         yield "the gain is not verified: keep a run out of the fit (--hold-out), best one with known loads"
 
 
-def open_question_blocks(made: Diagnosis) -> Iterator[PageBlock]:
+def open_question_blocks(diagnosis: Diagnosis) -> Iterator[PageBlock]:
     """Yield what would settle what remains, or that nothing remains."""
-    items = [capitalize_first(item) for item in open_question_items(made)]
-    if made.verdict in (EXPLAINED, NOTHING_MISSING):
+    items = [capitalize_first(item) for item in open_question_items(diagnosis)]
+    if diagnosis.verdict in (EXPLAINED, NOTHING_MISSING):
         yield Paragraph("Nothing remains in these data beyond their noise." + (" Open is:" if items else ""))
     else:
-        where = made.location.rstrip(".") or "see the map of the residual above"
+        where = diagnosis.location.rstrip(".") or "see the map of the residual above"
         yield Paragraph(
             f"Something remains that no effect explains ({where}). Sweeps with finer lines there, and at a "
             "second level, show whether it is a resonance or grows with the load."

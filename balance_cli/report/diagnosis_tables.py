@@ -100,23 +100,23 @@ def parameter_table(effects: Sequence[FoundEffect]) -> Table:
 # ---- errors ----------------------------------------------------------------------------------------------------------
 
 
-def hold_out_table(made: Diagnosis) -> Table:
+def hold_out_table(diagnosis: Diagnosis) -> Table:
     """Errors of hub loads by component, rms over the runs; of responses run by run."""
     rows: list[Row] = []
     for kind in ERROR_KINDS:
-        rows += _kind_rows(kind, *(pooled_hold_out_errors(made, stage, kind) for stage in STAGES))
+        rows += _kind_rows(kind, *(pooled_hold_out_errors(diagnosis, stage, kind) for stage in STAGES))
     rows.append(group_heading_row(RESPONSE_TITLE, len(ERROR_HEADER)))
-    rows += [_error_row(name, *_response_errors(errors)) for name, errors in made.hold_out.items()]
+    rows += [_error_row(name, *_response_errors(errors)) for name, errors in diagnosis.hold_out.items()]
     caption = (
-        f"Percent; hub loads as rms over the hold-out runs ({', '.join(made.hold_out)}). Noise: the error that the "
-        "noise of the records alone causes. Shaded: within twice the noise."
+        f"Percent; hub loads as rms over the hold-out runs ({', '.join(diagnosis.hold_out)}). Noise: the error that "
+        "the noise of the records alone causes. Shaded: within twice the noise."
     )
     return Table(caption, (tuple(TableCell(word) for word in ERROR_HEADER),), tuple(rows))
 
 
-def run_tables(made: Diagnosis) -> Iterator[Table]:
+def run_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     """The same errors, one table per run."""
-    for name, errors in made.hold_out.items():
+    for name, errors in diagnosis.hold_out.items():
         rows: list[Row] = []
         for kind in ERROR_KINDS:
             rows += _kind_rows(kind, *(hold_out_errors_of_run(errors, stage, kind) for stage in STAGES))
@@ -149,10 +149,10 @@ def _error_row(name: str, before: RelativeError, after: RelativeError) -> Row:
 # ---- modes -----------------------------------------------------------------------------------------------------------
 
 
-def mode_table(made: Diagnosis) -> Table:
+def mode_table(diagnosis: Diagnosis) -> Table:
     """Frequencies and damping ratios of the modes, paired by their shapes; added modes have no partner."""
-    before = _widen_sigmas(made.modes_before, made.chi2_per_dof_before)
-    after = _widen_sigmas(made.modes_after, made.chi2_per_dof_after)
+    before = _widen_sigmas(diagnosis.modes_before, diagnosis.chi2_per_dof_before)
+    after = _widen_sigmas(diagnosis.modes_after, diagnosis.chi2_per_dof_after)
     pairs = match_modes([before, after]).index
     rows = [(TableCell(str(r + 1), mark="name"), *_mode_cells(before, after, *pair)) for r, pair in enumerate(pairs)]
     words = ("mode", "before [Hz]", "after [Hz]", "change", "damping before [%]", "damping after [%]")

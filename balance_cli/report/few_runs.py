@@ -31,10 +31,10 @@ def condense(sources: Sources) -> tuple[Sources, str]:
         for name, run in wind_runs(source.content).items()
     }
     worst = sorted(names, key=lambda name: ORDER.index(verdicts[name]) if verdicts[name] in ORDER else len(ORDER))
-    kept = set(worst[:RUNS_SHOWN])
-    loads = tuple(_with_runs(source, kept) for source in sources.loads)
+    subset = set(worst[:RUNS_SHOWN])
+    loads = tuple(_with_runs(source, subset) for source in sources.loads)
     words = (
-        f"Shown are {len(kept)} of {len(names)} runs, those with the worst verdicts first. All runs are in the index "
+        f"Shown are {len(subset)} of {len(names)} runs, those with the worst verdicts first. All runs are in the index "
         "above; balance report --run NAME makes the page of a run."
     )
     return replace(sources, loads=tuple(source for source in loads if source.content.runs)), words
@@ -50,6 +50,6 @@ def with_runs(sources: Sources, names: set[str]) -> Sources:
     return replace(sources, loads=loads, runs=tuple(run for run in sources.runs if run.name in names))
 
 
-def _with_runs(source: Source[HubLoads], kept: set[str]) -> Source[HubLoads]:
-    runs = {name: run for name, run in source.content.runs.items() if run.check is not None or name in kept}
+def _with_runs(source: Source[HubLoads], names: set[str]) -> Source[HubLoads]:
+    runs = {name: run for name, run in source.content.runs.items() if run.check is not None or name in names}
     return replace(source, content=replace(source.content, runs=runs))

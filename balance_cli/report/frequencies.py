@@ -78,15 +78,15 @@ def _assign_modes(
     """
     from scipy.optimize import linear_sum_assignment
 
-    apart = np.abs(np.log(first.frequency[first_indices][:, None] / second.frequency[second_indices]))
+    log_ratio = np.abs(np.log(first.frequency[first_indices][:, None] / second.frequency[second_indices]))
     if has_shapes(first) and has_shapes(second) and set(first.coordinates) <= set(second.coordinates):
         common = [second.coordinates.index(name) for name in first.coordinates]
         assurance = modal_assurance(first.shape[first_indices], second.shape[np.ix_(second_indices, common)])
-        rows, columns = linear_sum_assignment(assurance - 0.5 * np.tanh(apart), maximize=True)
+        rows, columns = linear_sum_assignment(assurance - 0.5 * np.tanh(log_ratio), maximize=True)
     elif len(first_indices) == len(second_indices):
         return list(zip(first_indices, second_indices, strict=True))
     else:
-        rows, columns = linear_sum_assignment(apart)
+        rows, columns = linear_sum_assignment(log_ratio)
     return [(first_indices[i], second_indices[j]) for i, j in zip(rows, columns, strict=True)]
 
 

@@ -39,16 +39,16 @@ def _prefix(name: str) -> str:
 
 def _without_plain_groups(text: str) -> Iterator[str]:
     """Yield the text without groups that have no attribute."""
-    kept: list[bool] = []
+    is_kept: list[bool] = []
     place = 0
     for tag in TAG.finditer(text):
         yield text[place : tag.start()]
         place = tag.end()
         if tag.group() != "</g>":
-            kept.append(tag.group() != "<g>")
-            shown = kept[-1]
+            is_kept.append(tag.group() != "<g>")
+            shown = is_kept[-1]
         else:
-            shown = kept.pop()
+            shown = is_kept.pop()
         if shown:
             yield tag.group()
     yield text[place:]

@@ -130,10 +130,10 @@ def _draw_amplitudes(axes: Axes, run: RunLoads, name: str, i: int, shift: float)
     place = np.arange(1, len(run.frequency_hz)) + shift
     low = np.minimum(sigma, 0.9 * amplitude)
     axes.vlines(place, amplitude - low, amplitude + sigma, colors=_run_color(i), linewidth=1.0)
-    for which, face in ((~flagged, _run_color(i)), (flagged, "white")):
+    for selection, face in ((~flagged, _run_color(i)), (flagged, "white")):
         axes.plot(
-            place[which],
-            amplitude[which],
+            place[selection],
+            amplitude[selection],
             linestyle="",
             marker=_run_marker(i),
             color=_run_color(i),

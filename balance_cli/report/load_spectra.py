@@ -23,23 +23,23 @@ ONE_SIGMA = np.array([[-1.0], [1.0]])
 
 def section(sources: Sources) -> Section | None:
     """Return the spectra of all runs; None without any."""
-    found = [(source, run) for source in sources.spectra for run in source.content.runs.values()]
-    if not found:
+    runs = [(source, run) for source in sources.spectra for run in source.content.runs.values()]
+    if not runs:
         return None
-    return Section("load-spectra", "Spectra of hub loads", tuple(_blocks(found)))
+    return Section("load-spectra", "Spectra of hub loads", tuple(_blocks(runs)))
 
 
-def _blocks(found: Sequence[tuple[Source[LoadSpectra], RunSpectra]]) -> Iterator[PageBlock]:
-    yield _table([run for _, run in found])
-    several = len({source.label for source, _ in found}) > 1
+def _blocks(runs: Sequence[tuple[Source[LoadSpectra], RunSpectra]]) -> Iterator[PageBlock]:
+    yield _table([run for _, run in runs])
+    several = len({source.label for source, _ in runs}) > 1
     groups = tuple(
         PlotGroup(f"{run.run}, {source.label}" if several else run.run, tuple(_plots(run)))
-        for source, run in found[:MOST_RUNS]
+        for source, run in runs[:MOST_RUNS]
     )
     caption = "One-sided spectral density of each hub load, with one sigma as a band. Gray: noise of the channels."
     yield Chart("load-spectra", caption, groups, "load-spectra")
-    if len(found) > MOST_RUNS:
-        yield Paragraph(f"Not drawn: {join_names([run.run for _, run in found[MOST_RUNS:]])}.")
+    if len(runs) > MOST_RUNS:
+        yield Paragraph(f"Not drawn: {join_names([run.run for _, run in runs[MOST_RUNS:]])}.")
 
 
 def _table(runs: Sequence[RunSpectra]) -> Table:
@@ -64,11 +64,11 @@ def _table(runs: Sequence[RunSpectra]) -> Table:
 
 def _plots(run: RunSpectra) -> Iterator[Plot]:
     size = -(-len(run.frequency_hz) // LINES)
-    kept = np.arange(len(run.frequency_hz) // size) * size
+    starts = np.arange(len(run.frequency_hz) // size) * size
     for i, name in enumerate(run.components):
         # The largest of neighbors, with the sigma and the noise that belong to it.
-        parts = run.density[: len(kept) * size, i].reshape(len(kept), size)
-        at = kept + np.argmax(parts, axis=1)
+        parts = run.density[: len(starts) * size, i].reshape(len(starts), size)
+        at = starts + np.argmax(parts, axis=1)
         density, sigma = run.density[at, i], run.sigma[at, i]
         band = np.maximum(density + ONE_SIGMA * sigma, density / 10.0)
         traces = (

@@ -61,7 +61,7 @@ def shape_picture(source: Source[IdentifiedModel]) -> Picture | None:
         return None
     modes = source.content.modes
     drawing = draw_rig(source.content.geometry)
-    drawn = "".join(
+    markup = "".join(
         _mode_svg(
             f"{frequency:.2f} Hz, damping {100 * ratio:.2f} %",
             drawing,
@@ -75,7 +75,7 @@ def shape_picture(source: Source[IdentifiedModel]) -> Picture | None:
         "moves; gray: at rest. Displacements are enlarged, the largest of each mode equally. The mode of the shaft "
         "alone is left out."
     )
-    return Picture("mode-shapes", caption, f'<div class="shapes">{drawn}</div>')
+    return Picture("mode-shapes", caption, f'<div class="shapes">{markup}</div>')
 
 
 def _mode_svg(title: str, drawing: RigDrawing, shape: ComplexArray) -> str:

@@ -63,14 +63,14 @@ def nyquist_picture(
     if not loops:
         return None
     shown = list(curves)[:MOST_MODELS]
-    drawn = "".join(_loop_svg(loop, evaluate, shown) for loop in loops)
+    markup = "".join(_loop_svg(loop, evaluate, shown) for loop in loops)
     legend = f" Curves: {', '.join(label for label, _ in shown)}." if shown else ""
     caption = (
         f"Nyquist plots of the modes of {source.label}, each by the cell and component that show it best, within "
         f"{BANDWIDTHS:g} bandwidths: measured lines with one sigma where it is large enough to be seen, the nearest to "
         f"the eigenfrequency filled.{legend} A single mode is a circle; the pointer names the frequencies."
     )
-    return Picture("nyquist", caption, f'<div class="shapes nyquist">{drawn}</div>')
+    return Picture("nyquist", caption, f'<div class="shapes nyquist">{markup}</div>')
 
 
 def mode_loops(model: IdentifiedModel, panels: Sequence[Panel]) -> Iterator[Loop]:

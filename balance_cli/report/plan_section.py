@@ -44,8 +44,8 @@ def section(sources: Sources) -> Section | None:
 def _plan_blocks(stored: StoredPlan, name: str) -> Iterator[PageBlock]:
     forecast = stored.forecast
     yield KeyFigures(tuple(_key_figures(stored)))
-    made = f" Already made: {join_names(list(forecast.made))}." if forecast.made else ""
-    yield Paragraph(f"Noise of the plan: {forecast.noise}.{made}")
+    earlier_runs = f" Already made: {join_names(list(forecast.made))}." if forecast.made else ""
+    yield Paragraph(f"Noise of the plan: {forecast.noise}.{earlier_runs}")
     yield _run_table(stored)
     yield _effect_table(forecast)
     if forecast.effects:

@@ -31,7 +31,7 @@ def polar_picture(runs: dict[str, RunLoads], blades: int, label: str) -> Picture
     """Return the plots of all components, at 1/rev and at the blade harmonic where it was reduced."""
     last = min(len(run.frequency_hz) for run in runs.values()) - 1
     orders = tuple(dict.fromkeys(n for n in (1, blades) if 1 <= n <= last))
-    drawn = "".join(
+    markup = "".join(
         _polar_svg(f"{name} {n}/rev", UNIT_OF[name], list(_points(runs, name, n)))
         for n in orders
         for name in COMPONENTS
@@ -41,7 +41,7 @@ def polar_picture(runs: dict[str, RunLoads], blades: int, label: str) -> Picture
         f"Harmonics by {label} as vectors A exp(j phase), load = A cos(n azimuth + phase): phase counts from the "
         "right, anticlockwise. The disk of a point has the radius of one sigma, where that is large enough to be seen."
     )
-    return Picture("polar", caption, f'<div class="shapes">{drawn}</div>')
+    return Picture("polar", caption, f'<div class="shapes">{markup}</div>')
 
 
 def _points(runs: dict[str, RunLoads], name: str, n: int) -> Iterator[tuple[str, str, complex, float]]:

@@ -123,11 +123,11 @@ def _panel(
         axes.append(_Axes(label, x, y, left, top, inner, height))
         top += height + GAP
     yield f'<text x="{left}" y="{corner[1] + 22}" font-weight="600">{escape(_title(panel))}</text>'
-    for one, curves in zip(axes, (_amplitude(panel), _phase(panel), _residual(panel)), strict=True):
-        yield from _draw_axes(one, one is axes[-1])
-        yield f'<svg x="{one.left}" y="{one.top}" width="{one.width}" height="{one.height}">'
+    for axis, curves in zip(axes, (_amplitude(panel), _phase(panel), _residual(panel)), strict=True):
+        yield from _draw_axes(axis, axis is axes[-1])
+        yield f'<svg x="{axis.left}" y="{axis.top}" width="{axis.width}" height="{axis.height}">'
         for style, width_of_line, values in curves:
-            yield _curve(one, panel.measured.frequency, values, style, width_of_line)
+            yield _curve(axis, panel.measured.frequency, values, style, width_of_line)
         yield "</svg>"
     if panel.is_zero_in_models:
         lowest = axes[-1]

@@ -72,8 +72,8 @@ def _input_sentences(sources: Sources) -> Iterator[str]:
     if sources.models:
         yield f"Models: {join_names([f'{source.label} ({source.file})' for source in sources.models])}."
     for diagnosis in sources.diagnoses:
-        made = diagnosis.content
-        yield f"Diagnosis {diagnosis.file}: {made.candidate_count} candidates, {len(made.hold_out)} runs held out."
+        candidates, hold_out = diagnosis.content.candidate_count, len(diagnosis.content.hold_out)
+        yield f"Diagnosis {diagnosis.file}: {candidates} candidates, {hold_out} runs held out."
     if sources.loads:
         runs = dict.fromkeys(name for source in sources.loads for name in source.content.runs)
         labels = join_names([f"{source.label} ({source.file})" for source in sources.loads])
@@ -111,7 +111,7 @@ def _without_loads(sources: Sources) -> str:
         (sources.models, "models" if len(sources.models) > 1 else "a model"),
         (sources.diagnoses, "a diagnosis"),
     ]
-    given = join_names([words for found, words in parts if found])
+    given = join_names([words for is_present, words in parts if is_present])
     words = "No hub loads: no check or wind run was reduced."
     return f"{words} This page shows {given}." if given else words
 
@@ -155,8 +155,8 @@ def _verdict_blocks(sources: Sources) -> Iterator[PageBlock]:
     elif best is not None:
         words = f"{capitalize_first(best.label)} describes the data to within their noise"
         if is_noise_overstated(best.content):
-            found = format_significant(best.content.quality.chi2_per_dof)
-            words += f", which is stated too large (chi2/dof is {found}, not 1): small effects would not be seen"
+            chi2_text = format_significant(best.content.quality.chi2_per_dof)
+            words += f", which is stated too large (chi2/dof is {chi2_text}, not 1): small effects would not be seen"
         yield BulletList((f"{words}.",))
     ranking = _ranking_sentence(sources)
     if ranking:

@@ -110,10 +110,10 @@ def _variance_errors(
     noise of the channels.
     """
     covariance = _difference_covariances(sigma, H * variance, columns, row_power)
-    seen = np.einsum(
+    squared_gain = np.einsum(
         "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
     )
-    information = 0.5 * np.sum(weights[:, None] * (H * seen) ** 2, axis=0)
+    information = 0.5 * np.sum(weights[:, None] * (H * squared_gain) ** 2, axis=0)
     effective_information = information * np.array([_effective_dof(weights, B * rows) for rows in applied.T])
     own = sigma + np.diag(OWN_VARIANCE_SHARE * np.diagonal(sigma))
     visible = np.sum(columns * np.linalg.solve(own, columns), axis=0)

@@ -75,21 +75,21 @@ def _with_shaft(plate: Mechanics, rig: TrueRig, members: list[int]) -> Mechanics
         return plate
     last = rig.geometry.shaft_meters[members[-1]]
     first = plate.size
-    whole = plate.with_coordinates(tuple(f"twist {i}" for i in members))
-    whole.loads[first, COMPONENTS.index(last.component)] = 1.0
-    turning = [np.eye(whole.size)[first + i] for i in range(len(members))]
+    with_shaft = plate.with_coordinates(tuple(f"twist {i}" for i in members))
+    with_shaft.loads[first, COMPONENTS.index(last.component)] = 1.0
+    turning = [np.eye(with_shaft.size)[first + i] for i in range(len(members))]
     rotation = ROTATION_ROWS["xyz".index(last.axis)] * float(last.carried_by == "plate")
-    whole.carried[:, first:] = rotation[:, None]
-    end = rotation @ whole.plate
+    with_shaft.carried[:, first:] = rotation[:, None]
+    end = rotation @ with_shaft.plate
     rows = []
     for place, (i, behind) in enumerate(zip(members, (*turning[1:], end), strict=True)):
         twist = turning[place] - behind
         k, j = rig.torque_stiffness[i], rig.torque_inertia[i]
-        whole.mass[first + place, first + place] = j
-        whole.damping[:] += 2 * rig.torque_damping_ratio[i] * np.sqrt(k * j) * np.outer(twist, twist)
-        whole.stiffness[:] += k * np.outer(twist, twist)
+        with_shaft.mass[first + place, first + place] = j
+        with_shaft.damping[:] += 2 * rig.torque_damping_ratio[i] * np.sqrt(k * j) * np.outer(twist, twist)
+        with_shaft.stiffness[:] += k * np.outer(twist, twist)
         rows.append(k * twist)
-    return replace(whole, torque_rows=np.vstack([whole.torque_rows, *rows]))
+    return replace(with_shaft, torque_rows=np.vstack([with_shaft.torque_rows, *rows]))
 
 
 def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0, attached: Collection[str] = ()) -> Mechanics:

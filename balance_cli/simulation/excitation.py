@@ -132,8 +132,8 @@ def sine_sweep(time: Array, period: float, band: Band, level: float) -> Array:
     within = np.mod(time, period)
     rate = (band[1] - band[0]) / period
     cycles = band[0] * within + rate * within**2 / 2
-    whole = np.floor(time / period) * (band[0] + band[1]) * period / 2
-    wave: Array = level * np.sqrt(2) * np.sin(2 * np.pi * (cycles + whole))
+    earlier_cycles = np.floor(time / period) * (band[0] + band[1]) * period / 2
+    wave: Array = level * np.sqrt(2) * np.sin(2 * np.pi * (cycles + earlier_cycles))
     return wave
 
 

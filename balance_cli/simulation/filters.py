@@ -28,12 +28,12 @@ def delay_signal(signal: Array, delay: float, step: float) -> Array:
 
     Before the first sample it had its value; after the last, where a negative delay asks, the last polynomial goes on.
     """
-    whole = int(np.floor(-delay / step))
-    fraction = -delay / step - whole
+    shift = int(np.floor(-delay / step))
+    fraction = -delay / step - shift
     offsets = np.arange(-2, 4)
     nodes = [(offset, np.delete(offsets, i)) for i, offset in enumerate(offsets)]
     weights = [np.prod((fraction - rest) / (offset - rest)) for offset, rest in nodes]
-    places = np.arange(len(signal)) + whole
+    places = np.arange(len(signal)) + shift
     shifted = sum(w * signal[np.clip(places + o, 0, len(signal) - 1)] for w, o in zip(weights, offsets, strict=True))
     return np.asarray(shifted)
 

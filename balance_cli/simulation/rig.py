@@ -131,8 +131,8 @@ def _draw_inertia(inertia: Array, tolerance: float, rng: np.random.Generator) ->
     moments = np.sqrt(np.diag(inertia))
     noise = np.triu(rng.standard_normal((3, 3)))
     noise = noise + np.triu(noise, 1).T
-    drawn: Array = inertia + tolerance * np.outer(moments, moments) * noise
-    return drawn
+    sample: Array = inertia + tolerance * np.outer(moments, moments) * noise
+    return sample
 
 
 def _draw_once(rig: TrueRig, rng: np.random.Generator) -> TrueRig:

@@ -40,8 +40,8 @@ class RotorKinematics:
         times = np.interp(targets, azimuths, coarse)
         for _ in range(4):
             times = times - (self.azimuth(times) - targets) / (2 * np.pi * self.rate(times))
-        kept: Array = times[times < duration]
-        return kept
+        inside: Array = times[times < duration]
+        return inside
 
 
 def harmonic_load(azimuth: Array, cosine: Array, sine: Array) -> Array:

@@ -53,16 +53,16 @@ class SignalStore:
 
     def _signals(self, plan: SweepPlan) -> _Signals:
         key = self._key(plan)
-        kept = self._kept.get(key)
-        if kept is not None and len(kept.volts) >= round(plan.duration * plan.sample_rate):
-            return kept
+        cached = self._kept.get(key)
+        if cached is not None and len(cached.volts) >= round(plan.duration * plan.sample_rate):
+            return cached
         long = plan.model_copy(update={"periods": max(plan.periods, self.longest)})
         truth = simulate_run(self.rig, long, NO_NOISE, 0)[1]
-        made = _Signals(plan.level[0], truth.channels, truth.recorded_loads)
-        while self._kept and self._bytes() + made.volts.nbytes + made.loads.nbytes > MOST_BYTES:
+        signals = _Signals(plan.level[0], truth.channels, truth.recorded_loads)
+        while self._kept and self._bytes() + signals.volts.nbytes + signals.loads.nbytes > MOST_BYTES:
             self._kept.pop(next(iter(self._kept)))
-        self._kept[key] = made
-        return made
+        self._kept[key] = signals
+        return signals
 
     def _bytes(self) -> int:
         return sum(item.volts.nbytes + item.loads.nbytes for item in self._kept.values())

@@ -37,13 +37,13 @@ def compare_plan(
     base = planning_rig(geometry, options.hall, model, spectra)
     lines = {run.run: run for run in spectra.lines}
     planned = [run for run in plan.runs if isinstance(run, SweepPlan)]
-    made = [run for run in planned if run.run in lines]
-    if not made:
+    executed_plans = [run for run in planned if run.run in lines]
+    if not executed_plans:
         names = ", ".join(run.run for run in planned[:5])
         raise UserError("no run has the name of a planned sweep", "RUN...", remedy=f"Give the runs of {names} ...")
     achieved = {run.run: run for run in spectra_information(spectra, base.model)}
     declared = plan.noise or options.hall.noise
-    executed = [_rehearsed(run, spectra, achieved[run.run], base, declared, options.seed) for run in made]
+    executed = [_rehearsed(run, spectra, achieved[run.run], base, declared, options.seed) for run in executed_plans]
     names_of_plan = {run.run for run in plan.runs}
     others = [name for name in achieved if name not in names_of_plan]
     before = add_information([achieved[name] for name in others], base.model)

@@ -86,8 +86,8 @@ def compare_static_response(
 
 def keep_findings(result: Result, findings: Iterable[ConsistencyFinding]) -> Result:
     """Return a result that keeps what the cross-checks said of its runs, and of earlier ones."""
-    kept = tuple(dict.fromkeys((*(result.consistency or ()), *(finding.sentence for finding in findings))))
-    return replace(result, consistency=kept or None)  # type: ignore[type-var]
+    sentences = tuple(dict.fromkeys((*(result.consistency or ()), *(finding.sentence for finding in findings))))
+    return replace(result, consistency=sentences or None)  # type: ignore[type-var]
 
 
 def earlier_warnings(*results: ChecksRuns | None) -> tuple[str, ...]:

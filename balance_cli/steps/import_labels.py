@@ -31,13 +31,13 @@ def _read_labels(finder: ChannelFinder, name: str) -> tuple[str, ...]:
         if name in file.labels:
             return file.labels[name]()
     try:
-        found = finder.find(name)
+        source = finder.find(name)
     except UserError as error:
         texts = [label for file in finder.files for label in file.labels]
         near = difflib.get_close_matches(name, texts, n=1)
         raise UserError(error.fault, error.file, error.place, f"Did you mean `{near[0]}`?") if near else error from None
-    labels = label_texts(found.group.read([found.column], 0, found.group.samples)[:, 0])
+    labels = label_texts(source.group.read([source.column], 0, source.group.samples)[:, 0])
     if labels is None:
         fault, place = "holds neither text nor whole numbers", f"channel `{name}`"
-        raise UserError(fault, str(found.file.path), place, "Give a column of labels")
+        raise UserError(fault, str(source.file.path), place, "Give a column of labels")
     return labels

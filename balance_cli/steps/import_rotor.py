@@ -23,29 +23,29 @@ Array = NDArray[np.float64]
 
 def rotor_reference(finder: ChannelFinder, rotor: MappedRotor, timeline: Timeline, place: str) -> RotorReference:
     """The 1/rev pulses from the first sample of the run on. Raises UserError where they cannot be found."""
-    found = finder.find(rotor.channel)
+    source = finder.find(rotor.channel)
     try:
         if rotor.kind == "times":
             reference = read_rotor_reference(
-                lambda a, b: _column(found, a, b), found.group.samples, 1.0, _settings(rotor)
+                lambda a, b: _column(source, a, b), source.group.samples, 1.0, _settings(rotor)
             )
-            begin = found.group.start
+            begin = source.group.start
         else:
-            clock = finder.clock(found)
+            clock = finder.clock(source)
             reference = read_rotor_reference(
-                lambda a, b: _column(found, a, b), clock.samples, clock.rate, _settings(rotor)
+                lambda a, b: _column(source, a, b), clock.samples, clock.rate, _settings(rotor)
             )
             begin = clock.start
     except UserError as error:
         where = f"channel `{rotor.channel}` ({place} of the map)"
-        raise UserError(error.fault, str(found.file.path), where, error.remedy) from error
+        raise UserError(error.fault, str(source.file.path), where, error.remedy) from error
     times = reference.pulse_times + begin - timeline.start
     inside = (times >= 0.0) & (times <= (timeline.samples - 1) / timeline.rate)
     return replace(reference, pulse_times=times[inside])
 
 
-def _column(found: FoundChannel, start: int, stop: int) -> Array:
-    return found.group.read([found.column], start, stop)[:, 0]
+def _column(source: FoundChannel, start: int, stop: int) -> Array:
+    return source.group.read([source.column], start, stop)[:, 0]
 
 
 def _settings(rotor: MappedRotor) -> TachometerSettings:

@@ -191,60 +191,60 @@ def _require_possible_clock(clock: Clock, channel: FoundChannel) -> None:
         raise UserError(fault, str(channel.file.path), f"channel `{channel.name}`", remedy)
 
 
-def channel_signal(found: FoundChannel, mapped: MappedChannel) -> Signal:
+def channel_signal(source: FoundChannel, mapped: MappedChannel) -> Signal:
     """A channel in volts or, without `scale`, in V/V; of another unit `scale` says how many volts it makes."""
     # `g` is an acceleration here: nothing that is sampled is a mass.
-    dimensions = (ACCELERATION,) if (mapped.unit or found.unit).strip() == "g" else ()
-    unit, note = _unit(found, mapped.unit, *dimensions)
+    dimensions = (ACCELERATION,) if (mapped.unit or source.unit).strip() == "g" else ()
+    unit, note = _unit(source, mapped.unit, *dimensions)
     has_scale = "scale" in mapped.model_fields_set
     if unit.dimension == RATIO and not has_scale and mapped.excitation is None:
-        signal = _signal(found, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+        signal = _signal(source, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
         return replace(signal, reading_unit=RATIO)
     if unit.dimension != VOLTAGE and not has_scale:
         fault = f"is in {unit.symbol}, not in volts"
         remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"
-        raise UserError(fault, str(found.file.path), f"channel `{found.name}`", remedy)
-    return _signal(found, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+        raise UserError(fault, str(source.file.path), f"channel `{source.name}`", remedy)
+    return _signal(source, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
 
 
-def load_signal(found: FoundChannel, mapped: MappedLoad) -> Signal:
+def load_signal(source: FoundChannel, mapped: MappedLoad) -> Signal:
     """A hub load in N or N m."""
-    unit, note = _unit(found, mapped.unit, UNIT_OF[mapped.component])
-    return _signal(found, mapped.component, unit, mapped.sign, mapped.scale, mapped.offset, note)
+    unit, note = _unit(source, mapped.unit, UNIT_OF[mapped.component])
+    return _signal(source, mapped.component, unit, mapped.sign, mapped.scale, mapped.offset, note)
 
 
-def other_signal(found: FoundChannel, target: str, mapped: object, dimension: str, default: str) -> Signal:
+def other_signal(source: FoundChannel, target: str, mapped: object, dimension: str, default: str) -> Signal:
     """An angle in deg, a temperature in degC, or a force in N."""
-    stated = getattr(mapped, "unit", None) or found.unit or default
-    unit, note = _unit(found, stated, dimension)
+    stated = getattr(mapped, "unit", None) or source.unit or default
+    unit, note = _unit(source, stated, dimension)
     if dimension == ANGLE:
         unit = Unit(unit.symbol, ANGLE, unit.factor / parse_unit("deg", ANGLE).factor)
     sign, scale, offset = (getattr(mapped, name) for name in ("sign", "scale", "offset"))
-    return _signal(found, target, unit, sign, scale, offset, note)
+    return _signal(source, target, unit, sign, scale, offset, note)
 
 
-def _signal(found: FoundChannel, target: str, unit: Unit, sign: int, scale: float, offset: float, note: str) -> Signal:
+def _signal(source: FoundChannel, target: str, unit: Unit, sign: int, scale: float, offset: float, note: str) -> Signal:
     factor = sign * scale * unit.factor
-    return Signal(found, target, factor, sign * scale * unit.offset - factor * offset, note)
+    return Signal(source, target, factor, sign * scale * unit.offset - factor * offset, note)
 
 
-def _unit(found: FoundChannel, stated: str | None, *dimensions: str) -> tuple[Unit, str]:
+def _unit(source: FoundChannel, stated: str | None, *dimensions: str) -> tuple[Unit, str]:
     """The unit of the map, else that of the file; a note where they contradict each other."""
-    place = f"channel `{found.name}`"
-    text = stated or found.unit
+    place = f"channel `{source.name}`"
+    text = stated or source.unit
     if not text:
-        raise UserError("has no unit", str(found.file.path), place, "Add `unit` to its entry in the map")
+        raise UserError("has no unit", str(source.file.path), place, "Add `unit` to its entry in the map")
     try:
         unit = parse_unit(text, *dimensions)
     except UserError as error:
-        raise error.with_location(str(found.file.path), place) from error
-    if not stated or not found.unit:
+        raise error.with_location(str(source.file.path), place) from error
+    if not stated or not source.unit:
         return unit, ""
     try:
-        same = parse_unit(found.unit, *dimensions) == unit
+        same = parse_unit(source.unit, *dimensions) == unit
     except UserError:
-        same = found.unit.strip() == text.strip()
-    return unit, "" if same else f"{found.name}: the file says `{found.unit}`, the map `{text}`, which was taken"
+        same = source.unit.strip() == text.strip()
+    return unit, "" if same else f"{source.name}: the file says `{source.unit}`, the map `{text}`, which was taken"
 
 
 TEMPERATURE_UNIT, FORCE_UNIT, ANGLE_UNIT = (TEMPERATURE, "degC"), (FORCE, "N"), (ANGLE, "deg")
@@ -257,8 +257,8 @@ def mapped_signals(
     """The signals of the channels or loads of a map."""
     signals = []
     for name, mapped in entries.items():
-        found = finder.find(name)
+        source = finder.find(name)
         signals.append(
-            channel_signal(found, mapped) if isinstance(mapped, MappedChannel) else load_signal(found, mapped)
+            channel_signal(source, mapped) if isinstance(mapped, MappedChannel) else load_signal(source, mapped)
         )
     return signals

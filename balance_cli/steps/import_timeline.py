@@ -129,9 +129,9 @@ def timeline_notes(timeline: Timeline, groups: Sequence[tuple[Sequence[str], Clo
             f"{shown}: {what} to {timeline.rate:.10g} Hz, band-limited, sound up to {band:.4g} Hz, no phase shift"
         )
     longest = max(clock.samples / clock.rate for _, clock in groups)
-    kept = timeline.samples / timeline.rate
-    if kept < longest - 1.5 / timeline.rate:
-        notes.append(f"the common part of the channels is kept: {kept:.6g} s of {longest:.6g} s")
+    duration = timeline.samples / timeline.rate
+    if duration < longest - 1.5 / timeline.rate:
+        notes.append(f"the common part of the channels is kept: {duration:.6g} s of {longest:.6g} s")
     return notes
 
 

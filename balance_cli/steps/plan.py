@@ -184,20 +184,20 @@ def _rehearse_candidates(
     A run that gives no usable lines is no candidate.
     """
     ordered = by_turns(candidates)
-    kept: list[CandidateRun] = []
+    usable: list[CandidateRun] = []
     information: list[RunInformation] = []
     for item in progress(ordered, "runs", len(ordered)) if progress else ordered:
-        if kept and deadline.is_over:
+        if usable and deadline.is_over:
             break
         try:
             part = base.information(item.plan, (seed,))
         except UserError:
             continue
-        kept.append(item)
+        usable.append(item)
         information.append(part)
-    if not kept:
+    if not usable:
         raise UserError("no run of this hall gives usable lines", remedy="Give larger levels, or longer periods")
-    return tuple(kept), information
+    return tuple(usable), information
 
 
 def planning_rig(
@@ -246,16 +246,16 @@ def _describe(
     deadline: Deadline,
     progress: Progress | None,
 ) -> PlannedCampaign:
-    chosen = design.chosen
-    order = sorted(set(chosen))
+    selection = design.chosen
+    order = sorted(set(selection))
     items: Iterable[CandidateRun] = [problem.candidates[i] for i in order]
     shown = progress(items, "forecast", len(order)) if progress else items
     rehearsed = {
         i: _forecast_information(base, problem, i, options.seed, deadline) for i, _ in zip(order, shown, strict=True)
     }
-    runs = [rehearsed[i] for i in chosen]
+    runs = [rehearsed[i] for i in selection]
     stages, total = forecast_stages(problem.before, runs, base.model, options.detection)
-    named = number_runs([problem.candidates[i] for i in chosen])
+    named = number_runs([problem.candidates[i] for i in selection])
     proposals = list({run.run: run for run in problem.information}.values())
     further = _further_information(base, options, deadline)
     return PlannedCampaign(
@@ -272,7 +272,7 @@ def _describe(
         effects=detectable_effects(stages, base.model, base.forecast, (*proposals, *further)),
         unpredicted=unpredicted_effects(base.model, options.hall.effects),
         confusion=confused_pairs(total, base.model, proposals, further),
-        ranking=rank_runs(problem, chosen, deadline),
+        ranking=rank_runs(problem, selection, deadline),
         loads=load_sigma(stages, base.model, base.forecast),
         parameters=parameter_forecasts(stages[0], stages[-1], base.model),
     )

@@ -42,8 +42,8 @@ def point_flags(model: CalibrationModel, loads: Array, covariance: Array, tests:
     flags = []
     rows = zip(loads, covariance, tests.misfit, tests.unknown_weight, tests.untested_names, strict=True)
     for row, S, misfits, unknown, names in rows:
-        found = {*_extrapolated(model, row, S), *names} if np.isfinite(row).all() else set()
-        outside = [name for name in model.components if name in found]
+        extrapolated = {*_extrapolated(model, row, S), *names} if np.isfinite(row).all() else set()
+        outside = [name for name in model.components if name in extrapolated]
         words = (
             NO_ZERO if tests.no_zero else "",
             NO_WEIGHT if unknown else "",

@@ -59,8 +59,8 @@ def _load_series(runs: tuple[str, ...], series: tuple[str, ...], loads: Array | 
         return np.unique([f"{name} {label}" for name, label in zip(run, series, strict=True)], return_inverse=True)[1]
     if loads is None or not np.any(loads):
         return None
-    found = find_load_series(loads / np.maximum(np.max(np.abs(loads), axis=0), np.finfo(float).tiny), run)
-    return _part_tares_between(np.asarray(found, np.intp), ~np.any(loads, axis=1))
+    load_series = find_load_series(loads / np.maximum(np.max(np.abs(loads), axis=0), np.finfo(float).tiny), run)
+    return _part_tares_between(np.asarray(load_series, np.intp), ~np.any(loads, axis=1))
 
 
 def _part_tares_between(series: Index, unloaded: NDArray[np.bool_]) -> Index:

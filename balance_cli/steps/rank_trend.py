@@ -66,8 +66,8 @@ def _mann_kendall(x: Array, y: Array) -> tuple[float, float, float]:
     concordance = np.sign(run) * np.sign(rise)
     score, n = float(concordance.sum()), len(x)
     ties = [_tie_term(np.unique(values, return_counts=True)[1]) for values in (x, y)]
-    whole = n * (n - 1) * (2 * n + 5)
-    variance = (whole - ties[0] - ties[1]) / 18.0
+    untied = n * (n - 1) * (2 * n + 5)
+    variance = (untied - ties[0] - ties[1]) / 18.0
     if variance <= 0 or not np.any(run != 0):
         return 0.0, 1.0, 0.0
     z = max(abs(score) - 1.0, 0.0) / np.sqrt(variance)  # continuity: the score changes in steps of two

@@ -52,8 +52,8 @@ def find_repeat_drifts(
     kinds = [(component, quantity) for component in points[0].components for quantity in points[0].quantities]
     if not large:
         return ()
-    found = [_drift(points, large, place, component, quantity, len(kinds)) for component, quantity in kinds]
-    drifts = [item for item in found if item is not None and item.bonferroni_p_value < SIGNIFICANCE]
+    candidates = [_drift(points, large, place, component, quantity, len(kinds)) for component, quantity in kinds]
+    drifts = [item for item in candidates if item is not None and item.bonferroni_p_value < SIGNIFICANCE]
     return tuple(sorted(drifts, key=lambda item: item.bonferroni_p_value))
 
 

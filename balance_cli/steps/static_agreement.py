@@ -177,22 +177,22 @@ def _compare(
 def _finding(comparison: StaticComparison, is_nonlinear: bool) -> ConsistencyFinding | None:
     """Return the finding of a comparison, None where it is within its limits."""
     is_gross = bool(comparison.gross.any())
-    apart = comparison.gross if is_gross else comparison.apart
+    differing = comparison.gross if is_gross else comparison.apart
     if is_nonlinear and not is_gross:
         return None
-    if not apart.any():
+    if not differing.any():
         return _load_finding(comparison)
-    rows, columns = np.nonzero(apart)
+    rows, columns = np.nonzero(differing)
     channels = tuple(comparison.channels[i] for i in dict.fromkeys(rows.tolist()))
     components = tuple(name for j, name in enumerate(comparison.trim.components) if j in columns)
     return ConsistencyFinding(
         kind=STATIC_RESPONSE,
         severity=FAULT if is_gross else WARNING,
-        text=f"{_describe(comparison, apart)} ({_cause(comparison, apart, is_gross)})",
+        text=f"{_describe(comparison, differing)} ({_cause(comparison, differing, is_gross)})",
         runs=comparison.trim.runs,
         channels=channels,
         components=components,
-        factor=_common_factor(comparison.factor[apart]),
+        factor=_common_factor(comparison.factor[differing]),
         trims=(comparison.trim.trim,),
     )
 
@@ -214,14 +214,14 @@ def _load_finding(comparison: StaticComparison) -> ConsistencyFinding | None:
     )
 
 
-def _describe(comparison: StaticComparison, apart: Mask) -> str:
+def _describe(comparison: StaticComparison, differing: Mask) -> str:
     """Return trim, and channel and component of the largest difference."""
-    share = np.where(apart, np.abs(comparison.C0 - comparison.response) / comparison.full, 0.0)
+    share = np.where(differing, np.abs(comparison.C0 - comparison.response) / comparison.full, 0.0)
     i, j = np.unravel_index(np.argmax(share), share.shape)
     channel, component = comparison.channels[i], comparison.trim.components[j]
     ratio = comparison.factor[i, j]
     by = f", {ratio:.3g} times" if np.isfinite(ratio) and comparison.main[i, j] else ""
-    others = int(apart.sum()) - 1
+    others = int(differing.sum()) - 1
     more = f", and {others} more of its elements" if others else ""
     label = f"trim `{comparison.trim.trim}`: " if comparison.trim.trim else ""
     return (
@@ -239,13 +239,13 @@ def _common_factor(factors: Array) -> float | None:
     return float(np.sign(factors[0]) * np.exp(np.median(logs))) if same else None
 
 
-def _cause(comparison: StaticComparison, apart: Mask, is_gross: bool) -> str:
+def _cause(comparison: StaticComparison, differing: Mask, is_gross: bool) -> str:
     """Return what explains the differences most simply: loads, channels, or another rig."""
     if not is_gross:
         return "was an amplifier, a load cell or the rig changed between them, or does the model lack an effect?"
-    rows, columns = np.atleast_1d(apart.any(axis=1)), np.atleast_1d(apart.any(axis=0))
-    by_load = _factors(comparison, apart, columns[None, :])
-    by_channel = _factors(comparison, apart, rows[:, None])
+    rows, columns = np.atleast_1d(differing.any(axis=1)), np.atleast_1d(differing.any(axis=0))
+    by_load = _factors(comparison, differing, columns[None, :])
+    by_channel = _factors(comparison, differing, rows[:, None])
     causes = {}
     if by_load:
         causes[_load_cause(comparison.trim.components, by_load)] = len(by_load)
@@ -256,11 +256,11 @@ def _cause(comparison: StaticComparison, apart: Mask, is_gross: bool) -> str:
     return "; or ".join(simplest) or "is the calibration that of another balance, or the response that of another rig?"
 
 
-def _factors(comparison: StaticComparison, apart: Mask, lines: Mask) -> dict[int, float]:
+def _factors(comparison: StaticComparison, differing: Mask, lines: Mask) -> dict[int, float]:
     """Return the factor of each row (`lines` (r, 1)) or column (1, k); empty unless each has one throughout."""
-    if np.any(comparison.main & lines & ~apart):
+    if np.any(comparison.main & lines & ~differing):
         return {}
-    factor, wrong = comparison.factor, apart
+    factor, wrong = comparison.factor, differing
     if lines.shape[0] == 1:
         factor, wrong = factor.T, wrong.T
     common = {int(i): _common_factor(factor[i, wrong[i]]) for i in np.flatnonzero(lines)}

@@ -174,10 +174,10 @@ def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[F
     return responses
 
 
-def _can_be_solved_together(one: tuple[Run, PeriodicRecord], other: tuple[Run, PeriodicRecord]) -> bool:
+def _can_be_solved_together(first: tuple[Run, PeriodicRecord], second: tuple[Run, PeriodicRecord]) -> bool:
     """Whether two runs have the same lines and components, and declare the same levels up to `SAME_LEVEL`."""
     keys, levels = [], []
-    for run, record in (one, other):
+    for run, record in (first, second):
         spectrum = record.spectrum
         keys.append((spectrum.components, spectrum.rotor_speed, spectrum.channel_names, spectrum.frequency.tobytes()))
         levels.append(np.array(run.level if set(run.excited) == set(spectrum.components) else (), float))

@@ -142,15 +142,15 @@ def find_outliers(points: Sequence[TrendPoint], groups: Sequence[Sequence[int]])
     large = [group for group in groups if len(group) >= FEWEST_REPEATS]
     kinds = [(component, quantity) for component in points[0].components for quantity in points[0].quantities]
     comparisons = sum(map(len, large)) * len(kinds)
-    found = []
+    outliers = []
     for component, quantity in kinds:
         groups_of_kind = [_series([points[index] for index in group], component, quantity) for group in large]
         own, dof = _own_share(groups_of_kind)
         for group, (values, sigmas) in zip(large, groups_of_kind, strict=True):
             for index, mean, others, p_value in _outliers(values, own * sigmas, dof, comparisons):
                 name = points[group[index]].run
-                found.append(Outlier(name, component, quantity, float(values[index]), mean, others, p_value))
-    return tuple(sorted(found, key=lambda item: item.bonferroni_p_value))
+                outliers.append(Outlier(name, component, quantity, float(values[index]), mean, others, p_value))
+    return tuple(sorted(outliers, key=lambda item: item.bonferroni_p_value))
 
 
 def _own_share(groups: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
@@ -177,7 +177,7 @@ def _outliers(values: Array, sigmas: Array, dof: float, comparisons: int) -> lis
     A run is compared with the scatter of the others or with its sigma, of `dof` degrees of freedom, if that is more.
     """
     left = np.flatnonzero(np.isfinite(values))
-    found = []
+    outliers = []
     while len(left) >= FEWEST_REPEATS:
         x, n = values[left], len(left)
         mean = (x.sum() - x) / (n - 1)
@@ -190,9 +190,9 @@ def _outliers(values: Array, sigmas: Array, dof: float, comparisons: int) -> lis
         p_value = min(1.0, comparisons * float(p_values[worst]))
         if p_value >= SIGNIFICANCE:
             break
-        found.append((int(left[worst]), float(mean[worst]), n - 1, p_value))
+        outliers.append((int(left[worst]), float(mean[worst]), n - 1, p_value))
         left = np.delete(left, worst)
-    return found
+    return outliers
 
 
 # ---- drift of the residual test --------------------------------------------------------------------------------------
@@ -221,12 +221,12 @@ def require_runs(points: Sequence[TrendPoint]) -> None:
     """Raise UserError for fewer than two runs, for one name twice, and for runs of different components."""
     if len(points) < 2:
         raise UserError("one run has no trend", "LOADS...", remedy="Give the loads of several runs")
-    seen: dict[str, str] = {}
+    file_of_run: dict[str, str] = {}
     for point in points:
-        if point.run in seen:
-            fault = f"has the run `{point.run}`, which {seen[point.run]} has too"
+        if point.run in file_of_run:
+            fault = f"has the run `{point.run}`, which {file_of_run[point.run]} has too"
             raise UserError(fault, point.file, "runs", "Run names are unique: give each run once")
-        seen[point.run] = point.file
+        file_of_run[point.run] = point.file
         if point.components != points[0].components:
             fault = f"has the components {', '.join(point.components)}, {points[0].file} has others"
             raise UserError(fault, point.file, remedy="Give loads of one balance")

@@ -39,9 +39,9 @@ def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, 
         if common is None:
             continue
         factor, channels = common
-        which = "all channels" if set(channels) >= set(other.channel_names) else ", ".join(channels)
+        channel_text = "all channels" if set(channels) >= set(other.channel_names) else ", ".join(channels)
         text = (
-            f"{which} of trim `{other.trim}` read {factor:.4g} times what they read in trim `{first.trim}` "
+            f"{channel_text} of trim `{other.trim}` read {factor:.4g} times what they read in trim `{first.trim}` "
             "for the same loads (another amplifier or supply, or loads in another unit?)"
         )
         findings.append(
@@ -70,10 +70,10 @@ def _common_factor(first: TrimCalibration, other: TrimCalibration) -> tuple[floa
     factors = (before[0] * after[0] / variance).sum(axis=1) / np.where(power > 0.0, power, np.inf)
     limits = LARGEST_SIGMAS / np.sqrt(np.where(power > 0.0, power, np.finfo(float).tiny))
     common = float(np.median(factors))
-    alike = (np.abs(factors - common) < np.maximum(SAME_FACTOR, limits)) & (np.abs(factors - 1.0) > limits)
-    if abs(common - 1.0) < LEAST_CHANGE or alike.sum() < max(FEWEST_CHANNELS, MOST_SHARE * len(channels)):
+    is_common = (np.abs(factors - common) < np.maximum(SAME_FACTOR, limits)) & (np.abs(factors - 1.0) > limits)
+    if abs(common - 1.0) < LEAST_CHANGE or is_common.sum() < max(FEWEST_CHANNELS, MOST_SHARE * len(channels)):
         return None
-    return common, tuple(name for name, is_alike in zip(channels, alike, strict=True) if is_alike)
+    return common, tuple(name for name, is_alike in zip(channels, is_common, strict=True) if is_alike)
 
 
 def _readings(trim: TrimCalibration, channels: list[str], components: list[str]) -> tuple[Array, Array]:

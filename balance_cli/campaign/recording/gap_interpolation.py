@@ -85,13 +85,13 @@ def _errors(x: Array, place: Integers, wanted: NDArray[np.bool_], coefficients: 
 def _fill(x: Array, missing: NDArray[np.bool_], order: int) -> tuple[Array, Array]:
     """Return the signal with its gaps filled, and the prediction-error filter (order + 1,)."""
     place = np.flatnonzero(missing)
-    whole = ~np.any(np.lib.stride_tricks.sliding_window_view(missing, order + 1), axis=1)
-    enough = np.count_nonzero(whole) >= 2 * order
+    is_complete = ~np.any(np.lib.stride_tricks.sliding_window_view(missing, order + 1), axis=1)
+    enough = np.count_nonzero(is_complete) >= 2 * order
     filled = x.copy()
     filled[place] = np.interp(place, np.flatnonzero(~missing), x[~missing])
     coefficients = np.ones(1)
     for _ in range(1 if enough else FILL_ITERATIONS):
-        coefficients = _prediction_error_filter(filled, whole if enough else np.ones_like(whole), order)
+        coefficients = _prediction_error_filter(filled, is_complete if enough else np.ones_like(is_complete), order)
         filled[place] = _Filler(place, coefficients, len(x)).values(filled)
     return filled, coefficients
 

@@ -112,7 +112,7 @@ def _segments(index: Integers) -> list[Integers]:
 def _missing_samples(run: Run) -> dict[int, Integers]:
     """Return the indices of the missing samples of each column that has any, and not too many."""
     most, columns = int(LARGEST_SHARE * run.samples), len(run.channel_names)
-    found: list[list[Integers]] = [[] for _ in range(columns)]
+    parts_by_column: list[list[Integers]] = [[] for _ in range(columns)]
     count = np.zeros(columns, int)
     for block in run.blocks():
         if np.isfinite(block.channels).all():
@@ -120,8 +120,10 @@ def _missing_samples(run: Run) -> dict[int, Integers]:
         bad = ~np.isfinite(block.channels)
         count += bad.sum(axis=0)
         for column in np.flatnonzero(bad.any(axis=0) & (count <= most)):
-            found[column].append(block.start + np.flatnonzero(bad[:, column]))
-    return {column: np.concatenate(parts) for column, parts in enumerate(found) if parts and count[column] <= most}
+            parts_by_column[column].append(block.start + np.flatnonzero(bad[:, column]))
+    return {
+        column: np.concatenate(parts) for column, parts in enumerate(parts_by_column) if parts and count[column] <= most
+    }
 
 
 def _bridge(run: Run, name: str, column: int, missing: Integers) -> BridgedSamples | None:

@@ -101,12 +101,12 @@ def _matching_entry(declared: ImportMap, file: Path, map_file: str) -> tuple[int
 
 def _pattern(text: str) -> re.Pattern[str]:
     """`*` and `?` as in a shell; `{word}` fits any characters, which the word then stands for."""
-    parts, seen = [], set()
+    parts, field_names = [], set()
     for part in re.split(r"(\{\w+\}|\*|\?)", text):
         word = _WORD.fullmatch(part)
         if word and word[1].isidentifier():
-            parts.append(f"(?P={word[1]})" if word[1] in seen else f"(?P<{word[1]}>.+?)")
-            seen.add(word[1])
+            parts.append(f"(?P={word[1]})" if word[1] in field_names else f"(?P<{word[1]}>.+?)")
+            field_names.add(word[1])
         else:
             parts.append({"*": ".*", "?": "."}.get(part, re.escape(part)))
     return re.compile("".join(parts), re.IGNORECASE)

@@ -82,8 +82,8 @@ def identify_columns(table: TextTable, names: Sequence[str], shared: Iterable[st
     """
     both = frozenset(shared)
     columns = [_mark_reading(_identify(table, index, names), both) for index in range(len(table.header))]
-    found = {column.name for column in columns if column is not None and not column.is_reading}
-    rest = tuple(name for name in names if name not in found and name not in LABELS)
+    load_names = {column.name for column in columns if column is not None and not column.is_reading}
+    rest = tuple(name for name in names if name not in load_names and name not in LABELS)
     return [
         _identify(table, index, rest, LOAD_WORDS) if column is None else column for index, column in enumerate(columns)
     ]
@@ -152,8 +152,8 @@ def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
     if unit is not None:
         yield name, unit
     for sign in (" / ", "/", ",", " in ", "_", " "):
-        name, found, unit = head.partition(sign)
-        if found and is_unit(unit):
+        name, separator, unit = head.partition(sign)
+        if separator and is_unit(unit):
             yield name.strip(), unit.strip()
 
 

@@ -29,8 +29,8 @@ def describe_loaded_tares(run: Run, arm: float) -> str:
     assert loads is not None
     shown = ", ".join(f"{row + 1} ({_load_text(loads[row])})" for row in loaded[:MOST_LISTED])
     more = f" and {len(loaded) - MOST_LISTED} more" if len(loaded) > MOST_LISTED else ""
-    which, verb, what = ("point", "is", "a tare") if len(loaded) == 1 else ("points", "are", "tares")
-    return f"load {which} {shown}{more} {verb} labeled as {what}, which is unloaded: correct `point`, or the loads,"
+    noun, verb, what = ("point", "is", "a tare") if len(loaded) == 1 else ("points", "are", "tares")
+    return f"load {noun} {shown}{more} {verb} labeled as {what}, which is unloaded: correct `point`, or the loads,"
 
 
 def _loaded_tares(run: Run, arm: float) -> list[int]:

@@ -233,10 +233,10 @@ def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str])
     if tuple(names) == tuple(present):
         return channels
     column = {name: index for index, name in enumerate(present)}
-    picked = np.full((len(channels), len(names)), np.nan)
+    selection = np.full((len(channels), len(names)), np.nan)
     available = [index for index, name in enumerate(names) if name in column]
-    picked[:, available] = channels[:, [column[names[index]] for index in available]]
-    return picked
+    selection[:, available] = channels[:, [column[names[index]] for index in available]]
+    return selection
 
 
 def have_same_samples(first: Run, second: Run) -> bool:

@@ -80,9 +80,9 @@ def _unread_rows(values: Array, channels: int) -> NDArray[np.bool_]:
     partly.sort(key=lambda column: (column < channels, count[column]))
     while partly and missing[:, partly].any(axis=1).sum() > most:
         partly.pop()  # the channel that misses most
-    chosen = np.zeros_like(missing)
-    chosen[:, partly] = missing[:, partly]
-    return chosen
+    unread = np.zeros_like(missing)
+    unread[:, partly] = missing[:, partly]
+    return unread
 
 
 def _copied_rows(values: Array, channels: int) -> NDArray[np.bool_]:
@@ -101,17 +101,17 @@ def _copied_rows(values: Array, channels: int) -> NDArray[np.bool_]:
     return copied if np.any(copied & loaded) else np.zeros(rows, bool)
 
 
-def _with_rows(run: Run, kept: NDArray[np.intp]) -> Run:
+def _with_rows(run: Run, rows: NDArray[np.intp]) -> Run:
     """Return the selected rows of a run, with all that belongs to them."""
     block = run.read()
     return replace(
         run,
-        samples=len(kept),
-        source=MemorySource(block.channels[kept], None if block.loads is None else block.loads[kept]),
-        attitude=None if run.attitude is None else run.attitude[kept],
-        series_labels=_select(run.series_labels, kept),
-        point_kinds=_select(run.point_kinds, kept),
-        additions=_select_additions(run, kept),
+        samples=len(rows),
+        source=MemorySource(block.channels[rows], None if block.loads is None else block.loads[rows]),
+        attitude=None if run.attitude is None else run.attitude[rows],
+        series_labels=_select(run.series_labels, rows),
+        point_kinds=_select(run.point_kinds, rows),
+        additions=_select_additions(run, rows),
     )
 
 
@@ -142,5 +142,5 @@ def describe_rows(run: Run) -> str:
 def _left_out(rows: Sequence[int]) -> str:
     numbers = [str(row + 1) for row in rows[:MOST_LISTED]]
     more = f" and {len(rows) - MOST_LISTED} more" if len(rows) > MOST_LISTED else ""
-    which, verb = ("load point", "is") if len(rows) == 1 else ("load points", "are")
-    return f"{which} {', '.join(numbers)}{more} of the file {verb} left out"
+    noun, verb = ("load point", "is") if len(rows) == 1 else ("load points", "are")
+    return f"{noun} {', '.join(numbers)}{more} of the file {verb} left out"

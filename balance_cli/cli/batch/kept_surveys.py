@@ -37,17 +37,17 @@ class KeptSurveys:
 
     def find_all(self, files: Iterable[Path]) -> dict[Path, RunSurvey]:
         """Return the surveys of those of the files that have not changed since."""
-        kept = ((file, self._runs.get(_place(file))) for file in files)
-        unchanged = {file: entry["survey"] for file, entry in kept if entry and entry["stamp"] == file_stamp(file)}
+        stored = ((file, self._runs.get(_place(file))) for file in files)
+        unchanged = {file: entry["survey"] for file, entry in stored if entry and entry["stamp"] == file_stamp(file)}
         self._unchanged = set(unchanged)
         return {file: RunSurvey(**survey) for file, survey in unchanged.items()}
 
     def keep(self, surveys: Mapping[Path, RunSurvey]) -> None:
         """Write the surveys beside those of other files, unless all of them are there."""
-        made = [path for path in surveys if path not in self._unchanged]
-        if self._path is None or not made:
+        new_paths = [path for path in surveys if path not in self._unchanged]
+        if self._path is None or not new_paths:
             return
-        runs = {_place(path): {"stamp": file_stamp(path), "survey": asdict(surveys[path])} for path in made}
+        runs = {_place(path): {"stamp": file_stamp(path), "survey": asdict(surveys[path])} for path in new_paths}
         runs = {**self._runs, **runs}
         content = {"format": SURVEY_FORMAT, "key": self._key, "checksum": _checksum(runs), "runs": runs}
         with atomic_write(self._path) as path:

@@ -82,8 +82,8 @@ class BatchReduction:
     def _survey(self, pool: WorkerPool, reduction: Reduction, paths: tuple[Path, ...]) -> None:
         """Learn the kind of every run, and require names to be unique."""
         inputs = [(item.role, item.digest) for item in self.session.provenance().inputs]
-        kept = KeptSurveys(self.options.survey, [inputs, reduction.method.rotor])
-        known, data = kept.find_all(paths), pickled(reduction)
+        stored = KeptSurveys(self.options.survey, [inputs, reduction.method.rotor])
+        known, data = stored.find_all(paths), pickled(reduction)
         results = pool.results(survey_run, (Item(path, data) for path in paths if path not in known))
         by_name: dict[str, Path] = {}
         for path in self.session.progress(paths, "reading", len(paths)):
@@ -97,7 +97,7 @@ class BatchReduction:
                 self.surveys[path] = survey
         if not self.surveys:
             raise self._all_skipped()
-        kept.keep(self.surveys)
+        stored.keep(self.surveys)
         for survey in self.surveys.values():
             if survey.kind not in (*ROTOR_KINDS, "zero"):
                 self.session.report_left_out(survey.name, f"a {survey.kind} run contains no rotor loads")
@@ -141,23 +141,23 @@ class BatchReduction:
         return run.harmonics
 
     def _reduce_runs(self, pool: WorkerPool, reduction: Reduction, output: Path) -> None:
-        chosen = [path for path in self._shard() if self._may_have_history(path, reduction)]
-        with self._journal(reduction, output, len(chosen)) as journal:
+        selection = [path for path in self._shard() if self._may_have_history(path, reduction)]
+        with self._journal(reduction, output, len(selection)) as journal:
             data = pickled(reduction)
-            done = {path for path in chosen if self._is_done(path, journal, reduction)}
+            done = {path for path in selection if self._is_done(path, journal, reduction)}
             if done:
-                self.session.echo(f"{len(done)} of {len(chosen)} runs were reduced before an interruption")
-            items = {path: self._item(path, reduction, data, journal) for path in chosen}
-            rest = (items[path] for path in chosen if path not in done)
+                self.session.echo(f"{len(done)} of {len(selection)} runs were reduced before an interruption")
+            items = {path: self._item(path, reduction, data, journal) for path in selection}
+            rest = (items[path] for path in selection if path not in done)
             results = pool.results(reduce_file, rest)
-            for path in self.session.progress(chosen, "runs", len(chosen)):
-                kept = journal.find(path) if journal is not None and path in done else None
-                item, result = (items[path], kept) if kept is not None else next(results)
+            for path in self.session.progress(selection, "runs", len(selection)):
+                stored = journal.find(path) if journal is not None and path in done else None
+                item, result = (items[path], stored) if stored is not None else next(results)
                 self._keep_history(item, result, journal)
                 if isinstance(result, UserError):
                     self._add_error(path, result, reduction)
                     continue
-                if journal is not None and kept is None and result.error is None:
+                if journal is not None and stored is None and result.error is None:
                     journal.add(path, result)
                 self._take(path, result)
                 if result.error is not None:
@@ -171,11 +171,11 @@ class BatchReduction:
             return list(self.surveys)
         index, count = self.options.shard
         rotor = [path for path, survey in self.surveys.items() if survey.kind in ROTOR_KINDS]
-        mine = set(rotor[index - 1 :: count])
-        if not mine:
+        shard = set(rotor[index - 1 :: count])
+        if not shard:
             fault = f"shard {index} of {count} holds none of {len(rotor)} runs"
             raise UserError(fault, "--shard", remedy="Make fewer shards")
-        return [path for path, survey in self.surveys.items() if path in mine or survey.kind not in ROTOR_KINDS]
+        return [path for path, survey in self.surveys.items() if path in shard or survey.kind not in ROTOR_KINDS]
 
     @contextmanager
     def _journal(self, reduction: Reduction, output: Path, count: int) -> Iterator[Journal[RunResult] | None]:
@@ -196,10 +196,10 @@ class BatchReduction:
 
     def _is_done(self, path: Path, journal: Journal[RunResult] | None, reduction: Reduction) -> bool:
         """Whether an interrupted call has reduced a run, and has left its history where one is asked for."""
-        kept = None if journal is None else journal.find(path)
-        if journal is None or kept is None:
+        stored = None if journal is None else journal.find(path)
+        if journal is None or stored is None:
             return False
-        return reduction.histories is None or kept.loads is None or journal.history(kept.name).exists()
+        return reduction.histories is None or stored.loads is None or journal.history(stored.name).exists()
 
     def _item(self, path: Path, reduction: Reduction, data: bytes, journal: Journal[RunResult] | None) -> Item:
         survey = self.surveys[path]
@@ -234,11 +234,11 @@ class BatchReduction:
 
     def _stage_histories(self, reduction: Reduction) -> None:
         """Move the histories that were kept during the batch to where the outputs of the call are."""
-        for kept in self.histories:
+        for history in self.histories:
             assert reduction.histories is not None
-            target = self.session.stage_in(reduction.histories, kept.name)
+            target = self.session.stage_in(reduction.histories, history.name)
             with os_errors_as_user_error(target):
-                shutil.move(kept, target)
+                shutil.move(history, target)
 
     def _take(self, path: Path, result: RunResult) -> None:
         """Keep what the end of the batch needs of a run."""

@@ -72,14 +72,14 @@ def find_geometry(folder: Path) -> Path:
     """
     texts = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".yaml", ".yml"))
     named = [path for path in texts if path.name.lower() in GEOMETRY_NAMES and path.is_file()]
-    found = named or [path for path in texts if path.is_file() and sniff_format(path) == GEOMETRY_FORMAT]
-    if len(found) > 1:
-        names = ", ".join(path.name for path in found)
+    candidates = named or [path for path in texts if path.is_file() and sniff_format(path) == GEOMETRY_FORMAT]
+    if len(candidates) > 1:
+        names = ", ".join(path.name for path in candidates)
         raise UserError(f"holds more than one geometry: {names}", str(folder), remedy="Choose one with -g GEOMETRY")
-    if not found:
+    if not candidates:
         remedy = f"Put {GEOMETRY_NAMES[0]} beside the runs, or give it with -g GEOMETRY"
         raise UserError("holds no geometry", str(folder), remedy=remedy)
-    return found[0]
+    return candidates[0]
 
 
 def take_inventory(folder: Path, geometry_path: Path | None, state: State) -> Inventory:

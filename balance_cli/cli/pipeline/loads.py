@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from balance_cli.reduction.result import HubLoads
 
 
-def best_loads(results: Path, made: list[Path]) -> tuple[Path, HubLoads] | None:
+def best_loads(results: Path, outputs: list[Path]) -> tuple[Path, HubLoads] | None:
     """Return the loads by the best response that were made, with their file; None where there are none."""
     from balance_cli.io.artefacts import load_artefact
     from balance_cli.io.formats import LOADS_FORMAT
@@ -24,7 +24,7 @@ def best_loads(results: Path, made: list[Path]) -> tuple[Path, HubLoads] | None:
 
     for name in BEST_FIRST:
         path = results / f"loads-{name}.h5"
-        if path in made:
+        if path in outputs:
             return path, load_artefact(path, {LOADS_FORMAT: HubLoads}).content
     return None
 
@@ -43,7 +43,7 @@ def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
         yield f"   {run_verdict(run).sentence}"
 
 
-def spectra_lines(results: Path, made: list[Path]) -> Iterator[str]:
+def spectra_lines(results: Path, outputs: list[Path]) -> Iterator[str]:
     """Yield the loads of records without pulses, where their spectra were made."""
     from balance_cli.cli.reduce_spectra import spectra_text
     from balance_cli.io.artefacts import load_artefact
@@ -51,7 +51,7 @@ def spectra_lines(results: Path, made: list[Path]) -> Iterator[str]:
     from balance_cli.reduction.spectra_result import LoadSpectra
 
     path = results / "spectra.h5"
-    if path in made:
+    if path in outputs:
         yield from spectra_text(load_artefact(path, {SPECTRA_FORMAT: LoadSpectra}).content)
 
 

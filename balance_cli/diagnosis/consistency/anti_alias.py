@@ -40,9 +40,9 @@ def filter_findings(rows: Sequence[ResponseRows], geometry: Geometry) -> list[Co
 def _stopped_over_passed(run: ResponseRows, geometry: Geometry) -> Iterator[float]:
     """Yield the density of the load where the declared filter stops it over that where it passes it, if known."""
     for j in np.unique(run.reference):
-        mine = run.reference == j
-        frequency = run.frequency[mine]
-        density = np.abs(run.loads[mine, j]) / np.sqrt(frequency)  # bands are proportional to their frequency
+        of_component = run.reference == j
+        frequency = run.frequency[of_component]
+        density = np.abs(run.loads[of_component, j]) / np.sqrt(frequency)  # bands are proportional to their frequency
         gain = np.abs(anti_alias_response(geometry.acquisition, frequency))
         passed, stopped = gain > PASSED, gain < STOPPED
         if passed.sum() >= 2 * FEWEST_BANDS and stopped.sum() >= FEWEST_BANDS:

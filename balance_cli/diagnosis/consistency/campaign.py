@@ -131,9 +131,9 @@ def _frequency_findings(mismatch: FrequencyMismatch | None) -> list[ConsistencyF
             ConsistencyFinding(FREQUENCIES, severity, f"{text}: check masses, stiffness and positions", shown, True)
         ]
     cells = ", ".join(mismatch.cells)
-    which = f"stiffness of {cells}" if cells else "ratio of stiffness to mass"
+    quantity = f"stiffness of {cells}" if cells else "ratio of stiffness to mass"
     hint = _unit_hint(mismatch.factor, bool(cells))
-    text = f"the {which} is {mismatch.factor:.4g} times what the geometry declares{hint}"
+    text = f"the {quantity} is {mismatch.factor:.4g} times what the geometry declares{hint}"
     kind = STIFFNESS if mismatch.cells or abs(np.log10(mismatch.factor)) > 2.5 else FREQUENCIES
     return [ConsistencyFinding(kind, FAULT, text, shown, True, cells=mismatch.cells, factor=mismatch.factor)]
 

@@ -93,19 +93,19 @@ def ranked_trials(state: State) -> list[Trial]:
     if not any(suspicious):
         return []
     exchanges = [find_exchanges(*items) for items in zip(state.runs, state.weights, state.energy, strict=True)]
-    found: list[Trial] = []
+    trials: list[Trial] = []
     for index in state.all_runs:
         if suspicious[index]:
-            found += _trials_for(state, (index,), suspicious[index], exchanges)
+            trials += _trials_for(state, (index,), suspicious[index], exchanges)
     if len(state.runs) > 1:
-        found += _trials_for(state, state.all_runs, sorted(set().union(*map(set, suspicious))), exchanges)
-    if not found:
+        trials += _trials_for(state, state.all_runs, sorted(set().union(*map(set, suspicious))), exchanges)
+    if not trials:
         return []
-    best = max(trial.gain for trial in found)
-    near = [trial for trial in found if trial.gain >= (1.0 - TIE) * best]
+    best = max(trial.gain for trial in trials)
+    near = [trial for trial in trials if trial.gain >= (1.0 - TIE) * best]
     clear = (1.0 - TIE) * max(trial.gain_by_geometry for trial in near) - SIGNIFICANT
     first = min(near, key=lambda trial: (trial.exceptions, trial.gain_by_geometry < clear))
-    ranked = sorted(found, key=lambda trial: -trial.gain)
+    ranked = sorted(trials, key=lambda trial: -trial.gain)
     return [first, *(trial for trial in ranked if trial is not first)]
 
 
@@ -150,14 +150,14 @@ def _try(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> Tria
     for _ in range(2):
         energies = _compare(state, hypothesis, members)
         gains = energies.gains
-        kept = tuple(index for index, gain in zip(members, gains, strict=True) if gain > -SIGNIFICANT)
-        if len(kept) == len(members):
+        supporting = tuple(index for index, gain in zip(members, gains, strict=True) if gain > -SIGNIFICANT)
+        if len(supporting) == len(members):
             passed = energies.pass_test(hypothesis)
             own = float(energies.by_geometry.sum())
             return Trial(hypothesis, members, energies.factor, float(sum(gains)), exceptions, own) if passed else None
-        if len(kept) < 2:
+        if len(supporting) < 2:
             return None
-        members, exceptions = kept, True
+        members, exceptions = supporting, True
     return None
 
 

@@ -58,8 +58,8 @@ def channel_drift_tests(
     if len(names) < settings.record_changes.min_channels:
         return []
     changes = [_changes_of_run(run, names, settings) for run in runs]
-    found = [change for change in changes if change is not None]
-    test = _test(names, found, settings) if found else None
+    drifts = [change for change in changes if change is not None]
+    test = _test(names, drifts, settings) if drifts else None
     return [] if test is None else [test]
 
 
@@ -175,8 +175,8 @@ class ChannelFit:
         groups = [(order[:i], order[i:]) for i in range(1, len(order))]
         parts = max(groups, key=lambda each: abs(self.change_of(each[0])[0] / self.change_of(each[0])[1]))
         small, large = sorted(parts, key=lambda part: (len(part), -abs(float(np.mean(self.mean[part])))))
-        apart = np.abs(self.change - np.mean(self.change[large])) * np.sqrt(np.diag(self.matrix))
-        return sorted(int(i) for i in small if apart[i] > clear_sigma) or sorted(map(int, small))
+        departure = np.abs(self.change - np.mean(self.change[large])) * np.sqrt(np.diag(self.matrix))
+        return sorted(int(i) for i in small if departure[i] > clear_sigma) or sorted(map(int, small))
 
 
 def _describe(kind: int, change: float, sigma: float, count: int) -> str:

@@ -244,8 +244,8 @@ def compare_pair(
     if pair is None or len(shared) < 2:
         return None
     equal = _fit_equal_channels(pair.lines, settings.channel_pairs)
-    alike = _residual_p_value(pair, equal) > settings.significance_level
-    common = equal if alike else _fits_with_one_more_kind(pair, equal, settings.channel_pairs)[0]
+    are_equal = _residual_p_value(pair, equal) > settings.significance_level
+    common = equal if are_equal else _fits_with_one_more_kind(pair, equal, settings.channel_pairs)[0]
     labels, components = tuple(run.run for run in shared), tuple(run.components for run in shared)
     return ComparedPair(*names, labels, components, remove_ratio(pair.lines, common), pair.dof)
 

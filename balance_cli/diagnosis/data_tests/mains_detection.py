@@ -80,9 +80,9 @@ def _departures(run: RunSpectrum, mains: float, settings: MainsDetectionSettings
     power, count, noise = power.reshape(shape), count.reshape(shape), noise.reshape(shape)
     # A neighboring window that was clipped onto the lines of the mains carries no information.
     centers = all_middles.reshape(shape[:2])
-    apart = np.abs(centers[:, 1:] - centers[:, :1]) > 2
-    neighbor_count = np.sum(count[:, 1:] * apart[:, :, None], axis=1)
-    neighbor_power = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(neighbor_count, 1.0)
+    is_separate = np.abs(centers[:, 1:] - centers[:, :1]) > 2
+    neighbor_count = np.sum(count[:, 1:] * is_separate[:, :, None], axis=1)
+    neighbor_power = np.sum(power[:, 1:] * is_separate[:, :, None], axis=1) / np.maximum(neighbor_count, 1.0)
     multiple = np.array([f for f, _ in middles])
     return _Departures(
         run.channel_names, multiple, power[:, 0], count[:, 0], np.maximum(neighbor_power, noise[:, 0]), neighbor_count
@@ -161,8 +161,8 @@ def _simplest_local_model(
         fit = fit_windows(subset, orders)
         free = subset.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
         good = (fit.cost / c < settings.max_window_chi2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit, settings)
-        chosen = np.flatnonzero(good)
-        modeled[remaining[good]] = _predict_windows(subset.subset(chosen), fit.subset(chosen))
+        accepted = np.flatnonzero(good)
+        modeled[remaining[good]] = _predict_windows(subset.subset(accepted), fit.subset(accepted))
         followed[remaining[good]] = True
     return modeled, followed
 

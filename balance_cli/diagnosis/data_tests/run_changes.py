@@ -86,8 +86,8 @@ def _scatter(values: Array, sigma: Array) -> Array:
 def _finding(pair: ComparedPair, names: Sequence[str], kind: DifferenceKind, values: Array, sigma: Array) -> str:
     """The two runs that differ most, in sigma, and by what, in the words of the effect."""
     difference = values[:, None] - values
-    apart = difference / np.sqrt(sigma[:, None] ** 2 + sigma**2)
-    high, low = (int(i) for i in np.unravel_index(np.argmax(apart), apart.shape))
+    significance = difference / np.sqrt(sigma[:, None] ** 2 + sigma**2)
+    high, low = (int(i) for i in np.unravel_index(np.argmax(significance), significance.shape))
     change, spread = float(difference[high, low]), float(np.hypot(sigma[low], sigma[high]))
     size = format_with_sigma(*kind.ratio.shown(change, spread), kind.ratio.unit)
     words = kind.ratio.finding.format(channel=pair.second, reference=f"{pair.first} in {names[low]}", size=size)

@@ -211,6 +211,6 @@ def _finding(names: Sequence[str], parts: Sequence[tuple[Array, Array]], covaria
     static, dynamic = parts[0][0], parts[1][0]
     sigma = np.sqrt(np.diag(covariance))
     worst = int(np.argmax(np.abs(static - dynamic) / sigma))
-    whole = float(np.linalg.norm(static - dynamic) / np.linalg.norm(static))
+    relative_difference = float(np.linalg.norm(static - dynamic) / np.linalg.norm(static))
     change = format_with_sigma(static[worst] - dynamic[worst], sigma[worst])
-    return f"differs by {100 * whole:.2g} %; most in {names[worst]}: {change} of {static[worst]:.4g}"
+    return f"differs by {100 * relative_difference:.2g} %; most in {names[worst]}: {change} of {static[worst]:.4g}"

@@ -70,15 +70,15 @@ def score_of_masses(
     """
     wide = _with_ten_masses(model, damping_share)
     at = np.concatenate([theta, np.zeros(len(POINTS))])
-    whole = data_curvature(batches, wide.system(at)) + prior_curvature(wide.parameters, at)
+    curvature = data_curvature(batches, wide.system(at)) + prior_curvature(wide.parameters, at)
     fitted, masses = slice(0, -len(POINTS)), slice(-len(POINTS), None)
-    among, cross, raw = (whole.information[pair] for pair in ((fitted, fitted), (fitted, masses), (masses, masses)))
+    among, cross, raw = (curvature.information[pair] for pair in ((fitted, fitted), (fitted, masses), (masses, masses)))
     inverse = covariance_from_information(among)
-    fitted_step, projection = (solve_refined(inverse, among, right) for right in (-whole.gradient[fitted], cross))
+    fitted_step, projection = (solve_refined(inverse, among, right) for right in (-curvature.gradient[fitted], cross))
     # Mass, center of gravity and inertia do nearly the same as the ten masses, so that V is a small difference. In this
     # form it has no error of first order in `projection`.
     V = raw - cross.T @ projection - projection.T @ cross + projection.T @ among @ projection
-    s = -(whole.gradient[masses] - projection.T @ whole.gradient[fitted])
+    s = -(curvature.gradient[masses] - projection.T @ curvature.gradient[fitted])
     return MassScore(s, 0.5 * (V + V.T), raw, fitted_step, projection, settings.min_remaining_share)
 
 

@@ -140,13 +140,13 @@ def _tone_frequencies(candidates: Sequence[Candidate]) -> tuple[float, ...]:
 def _screening_mask(batch: Batch, stride: int, tones: Sequence[float], tone_lines: int) -> NDArray[np.bool_]:
     """Every n-th line, but all lines at frequency zero and beside a tone, whose information no other line has."""
     frequency = batch.line_frequency
-    kept = (frequency == 0) | (np.arange(len(frequency)) % stride == 0)
+    mask = (frequency == 0) | (np.arange(len(frequency)) % stride == 0)
     for tone in tones:
         distance = np.abs(frequency - tone)
         for lines in batch.parts:
             nearest = np.argsort(distance[lines], kind="stable")[:tone_lines]
-            kept[lines.start + nearest] = True
-    return np.asarray(kept)
+            mask[lines.start + nearest] = True
+    return np.asarray(mask)
 
 
 def _is_new_null(candidate: Candidate, number: int) -> bool:

@@ -126,12 +126,12 @@ def unmodelled_mode_candidates(
     """The empirical candidates, started at the frequencies of the largest model errors."""
     system = state.model.system(state.theta, derivatives=False)
     peaks = _error_peaks(add_model_error(batches, state.shares), system, settings)
-    found = []
+    candidates_at_peaks = []
     for candidate in candidates(state.geometry, empirical=True, excluded=excluded):
         start_at_frequency = candidate.effect.search.start_at_frequency
         if candidate.effect.empirical and start_at_frequency is not None and peaks:
-            found.append(replace(candidate, starts=tuple(start_at_frequency(peak) for peak in peaks)))
-    return tuple(found)
+            candidates_at_peaks.append(replace(candidate, starts=tuple(start_at_frequency(peak) for peak in peaks)))
+    return tuple(candidates_at_peaks)
 
 
 def move_to_best_places(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:

@@ -147,8 +147,8 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 def _motion_at_origin(values: Mapping[str, Dual], where: Where, p: int) -> Dual:
     """Motion (6, m) of the non-metric side at the rig's origin per motion of its center."""
     center = stack([values[axis] if axis in values else constant(0.0, p) for axis in "xyz"])
-    whole = concatenate([dual_motion_at(-center), constant(np.eye(6)[3:], p)])
-    return whole[:, [FREEDOMS.index(name) for name in where]]
+    at_origin = concatenate([dual_motion_at(-center), constant(np.eye(6)[3:], p)])
+    return at_origin[:, [FREEDOMS.index(name) for name in where]]
 
 
 def _motion_with_non_metric_side(equations: Equations, geometry: Geometry, lower: Dual) -> Dual:

@@ -80,9 +80,9 @@ def discretize_step(A: Array, W: Array, time: float) -> tuple[Array, Array]:
 
 def discretize(model: ContinuousModel, step: float) -> SampledModel:
     """Return the model at samples `step` [s] apart; delayed outputs become further states."""
-    whole, part = np.divmod(np.round(model.delay / step, 9), 1.0)
+    full_steps, part = np.divmod(np.round(model.delay / step, 9), 1.0)
     n, c = len(model.A), len(model.C)
-    counts = whole.astype(int) + (part > 0)
+    counts = full_steps.astype(int) + (part > 0)
     # A delay that is rounded to zero needs no states.
     late = np.flatnonzero(counts)
     first = n + np.concatenate([[0], np.cumsum(counts)[:-1]])

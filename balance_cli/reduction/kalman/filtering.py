@@ -134,9 +134,9 @@ class _SegmentEdges:
     @cached_property
     def _decays(self) -> tuple[Decay, Decay]:
         """Effects of the samples that are not known yet and of the initial state, at the mean speed of the segment."""
-        whole = self.segment.stop - self.segment.start
+        samples = self.segment.stop - self.segment.start
         steady, marked_outputs = (
-            self.channel_filter.at(self.segment.start, whole),
+            self.channel_filter.at(self.segment.start, samples),
             self.channel_filter.marked_outputs(self.segment.start, 1),
         )
         rows = steady.outputs if marked_outputs is None else np.vstack([steady.outputs, marked_outputs.rows])
@@ -144,5 +144,5 @@ class _SegmentEdges:
         floor = output_variance(rows, P) - output_variance(rows @ P, total)
         return (
             variance_decay(rows @ P @ L.T, L.T, total, self.lag + 1, floor),
-            variance_decay(rows - (rows @ P) @ total, L, self.excess_covariance, whole, floor),
+            variance_decay(rows - (rows @ P) @ total, L, self.excess_covariance, samples, floor),
         )

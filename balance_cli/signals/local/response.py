@@ -34,18 +34,18 @@ def local_response(
 def response_from_models(models: LocalModels, estimator: str) -> FrequencyResponse:
     """Return the response of fitted models with separable covariance and coherences, at the excited lines [V/N]."""
     s = models.spectrum
-    kept = decimate_lines(s.excited)
-    channel_covariance, load_covariance = _response_covariance(models, kept)
-    response = models.response[kept]
-    noise = replace(models.noise, channels=models.noise.channels[kept]).equation_error_covariance(response)
-    ordinary, multiple = coherences(response, noise, local_power(s.loads)[kept])
+    lines = decimate_lines(s.excited)
+    channel_covariance, load_covariance = _response_covariance(models, lines)
+    response = models.response[lines]
+    noise = replace(models.noise, channels=models.noise.channels[lines]).equation_error_covariance(response)
+    ordinary, multiple = coherences(response, noise, local_power(s.loads)[lines])
     volts, load = s.channel_scale, s.load_scale
     return FrequencyResponse(
         run=s.run.name,
         channel_names=s.channel_names,
         components=s.components,
         estimator=estimator,
-        frequency=s.frequency[kept],
+        frequency=s.frequency[lines],
         response=response * volts[:, None] / load,
         channel_covariance=channel_covariance * (volts[:, None] * volts),
         load_covariance=load_covariance / (load[:, None] * load),
@@ -56,19 +56,19 @@ def response_from_models(models: LocalModels, estimator: str) -> FrequencyRespon
     )
 
 
-def _response_covariance(models: LocalModels, kept: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
-    """Factors (k, c, c) of the channels and (k, u, u) of the loads of the covariance at the lines `kept` (k,).
+def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
+    """Factors (k, c, c) of the channels and (k, u, u) of the loads of the covariance at the lines `lines` (k,).
 
     The response at a line is a weighted sum over the outputs of its window. Its covariance is the same sum over their
     noise, plus the contribution of the uncertainty of the poles. With several inputs the weights differ from input to
     input; the factor of the channels uses their mean.
     """
     c, u = models.response.shape[1:]
-    channels, loads = np.zeros((len(kept), c, c), complex), np.zeros((len(kept), u, u), complex)
+    channels, loads = np.zeros((len(lines), c, c), complex), np.zeros((len(lines), u, u), complex)
     for w, fit in enumerate(models.fit):
         start = models.first[w]
-        assigned = slice(*np.searchsorted(kept, models.assigned_lines[w]))
-        r = fit.r[kept[assigned] - start]
+        assigned = slice(*np.searchsorted(lines, models.assigned_lines[w]))
+        r = fit.r[lines[assigned] - start]
         noise = models.noise.equation_error_covariance(models.response, slice(start, start + len(fit.r)))
         weights = response_rows(fit, r) @ design_pseudoinverse(fit)
         loads[assigned] = weights @ weights.conj().swapaxes(1, 2)

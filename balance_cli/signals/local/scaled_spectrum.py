@@ -85,29 +85,29 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
             run, "the loads excited at once are proportional to each other", "Excite with different phases", "loads"
         )
     margin = RATIONAL_LINES // 2
-    kept = slice(max(int(np.argmax(excited)) - margin, 0), len(Z) - int(np.argmax(excited[::-1])) + margin)
-    channel_scale = _nonzero_rms(Z[kept, :c])
-    load_scale = _nonzero_rms(Z[kept, c:])
+    selection = slice(max(int(np.argmax(excited)) - margin, 0), len(Z) - int(np.argmax(excited[::-1])) + margin)
+    channel_scale = _nonzero_rms(Z[selection, :c])
+    load_scale = _nonzero_rms(Z[selection, c:])
     return ScaledSpectrum(
         run=run,
         channel_names=tuple(channel_names),
         components=components,
-        frequency=frequency[kept],
-        channels=Z[kept, :c] / channel_scale,
-        loads=Z[kept, c:] / load_scale,
+        frequency=frequency[selection],
+        channels=Z[selection, :c] / channel_scale,
+        loads=Z[selection, c:] / load_scale,
         channel_scale=channel_scale,
         load_scale=load_scale,
-        excited=excited[kept],
+        excited=excited[selection],
         window_noise=None if windowed is None else _window_noise(windowed, load_scale),
     )
 
 
 def _window_noise(windowed: WindowedForces, load_scale: Array) -> WindowNoise | None:
     """Return the noise within the window at a line of the spectrum; None where there is no window."""
-    samples, kept = len(windowed.loads), windowed.samples
-    if not kept:
+    samples, noise_samples = len(windowed.loads), windowed.samples
+    if not noise_samples:
         return None
-    return WindowNoise(windowed.noise**2 * 4.0 * kept / samples**2 / load_scale**2, samples / kept)
+    return WindowNoise(windowed.noise**2 * 4.0 * noise_samples / samples**2 / load_scale**2, samples / noise_samples)
 
 
 def _require_declared_impact(run: Run, loads: Array) -> None:

@@ -61,16 +61,16 @@ def common_change(values: ComplexArray) -> CommonChange | None:
         ratio, relative_error = after / before, error / np.abs(before)
     clear = np.count_nonzero(is_clear, axis=1)
     changed = np.count_nonzero(is_clear & (np.abs(ratio - 1.0) > LEAST_CHANGE), axis=1)
-    found = []
+    candidates = []
     for i in np.flatnonzero((clear >= FEWEST_AMPLITUDES) & (2 * changed > clear)).tolist():  # none in most records
         rows = is_clear[i]
         change = _change_at(ratio[i, rows], relative_error[i, rows], order[rows], int(splits[i]))
-        found += [] if change is None else [change]
+        candidates += [] if change is None else [change]
 
     def shared_change(change: CommonChange) -> float:
         return change.size * (1.0 - change.misfit / ALIKE_DEPARTURE) * float(np.sqrt(_balance(change.window, values)))
 
-    return max(found, key=shared_change, default=None)
+    return max(candidates, key=shared_change, default=None)
 
 
 def _balance(window: int, values: ComplexArray) -> int:

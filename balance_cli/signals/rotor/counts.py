@@ -37,11 +37,11 @@ def revolution_crossings(
         turns, before = unwrapped[-1] - middle - counts[-1], counts[-1]
         first = start - (0 if len(joined) == len(counts) else 1)
         times.append((first + _passages(unwrapped / counts_per_revolution)) / rate)
-    found = np.concatenate(times)
-    if len(found) < 3:
-        fault = f"passes {len(found)} revolutions of {counts_per_revolution:g} counts"
+    crossings = np.concatenate(times)
+    if len(crossings) < 3:
+        fault = f"passes {len(crossings)} revolutions of {counts_per_revolution:g} counts"
         raise UserError(fault, place="tachometer", remedy="Correct `counts_per_revolution`")
-    return found, ["the count decreases; azimuth was taken to increase"] if sign < 0 else []
+    return crossings, ["the count decreases; azimuth was taken to increase"] if sign < 0 else []
 
 
 def _range(read: ReadSamples, samples: int) -> tuple[float, float, bool]:
@@ -74,7 +74,7 @@ def _direction(read: ReadSamples, samples: int, modulus: float) -> float:
 def _passages(turns: Array) -> Array:
     """Places at which a count of revolutions passes whole numbers, by interpolation between samples."""
     highest = np.maximum.accumulate(turns)
-    whole = np.floor(highest)
-    passed = np.flatnonzero(np.diff(whole) > 0)
+    revolutions = np.floor(highest)
+    passed = np.flatnonzero(np.diff(revolutions) > 0)
     rise = highest[passed + 1] - highest[passed]
-    return np.asarray(passed + (whole[passed + 1] - highest[passed]) / rise)
+    return np.asarray(passed + (revolutions[passed + 1] - highest[passed]) / rise)

@@ -104,8 +104,8 @@ def _fine_blocks(read: ReadSamples, samples: int) -> Iterator[tuple[float, Array
         block = read(max(first, 0), min(last, samples))
         block = np.pad(block, (max(-first, 0), max(last - samples, 0)), mode="edge")
         fine = scipy.signal.upfirdn(taps, block, up=UPSAMPLING)[REACH * UPSAMPLING :]
-        kept = slice(REACH * UPSAMPLING, (REACH + 1 + stop - start) * UPSAMPLING + 2)
-        yield float((start - 1) * UPSAMPLING), fine[kept]
+        inner = slice(REACH * UPSAMPLING, (REACH + 1 + stop - start) * UPSAMPLING + 2)
+        yield float((start - 1) * UPSAMPLING), fine[inner]
 
 
 def _crossings(signal: Array) -> Array:

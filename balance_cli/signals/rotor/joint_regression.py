@@ -61,8 +61,10 @@ class JointRegression:
         explained = np.linalg.solve(self.own, beside.T)
         size = 1.0 / np.sqrt(np.maximum(np.diag(among), np.finfo(float).tiny))
         share, vectors = np.linalg.eigh((among - beside @ explained) * np.outer(size, size))
-        kept = share > LEAST_OWN_SHARE
-        return np.asarray(explained), np.asarray(size[:, None] * vectors[:, kept] / np.sqrt(share[kept]))
+        is_significant = share > LEAST_OWN_SHARE
+        return np.asarray(explained), np.asarray(
+            size[:, None] * vectors[:, is_significant] / np.sqrt(share[is_significant])
+        )
 
 
 def harmonic_products(turning: ComplexArray, fitted_count: int) -> Array:

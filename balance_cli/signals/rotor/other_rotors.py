@@ -200,13 +200,13 @@ def _separable_lines(
     orders, modulated, common = [], [], []
     for k in range(1, _highest_order(run, other) + 1):
         near = [n for n in (int(k * other_span / span), int(k * other_span / span) + 1) if 1 <= n <= highest]
-        apart = {n: float(np.ptp(k * other_count - n * count)) for n in near}
-        nearest = min(apart, key=lambda n: apart[n], default=0)
-        if nearest and apart[nearest] < LEAST_SEPARATION:
+        separation = {n: float(np.ptp(k * other_count - n * count)) for n in near}
+        nearest = min(separation, key=lambda n: separation[n], default=0)
+        if nearest and separation[nearest] < LEAST_SEPARATION:
             common.append(ConfoundedLine(nearest, number, k, float(nearest * span / (time[-1] - time[0]))))
             continue
         orders.append(k)
-        if varies and (not nearest or apart[nearest] > MODULATED_SEPARATION):
+        if varies and (not nearest or separation[nearest] > MODULATED_SEPARATION):
             modulated.append(k)
     return RotorLines(number, other, tuple(orders), tuple(modulated)), common
 

@@ -32,13 +32,13 @@ def spectral_floor(power: Real, bins: NDArray[np.int64] | None = None) -> Real:
     block = np.arange(power.shape[1]) // size if bins is None else bins // size
     needed, place = np.unique(block, return_inverse=True)
     low, high = size * needed - size // 2, size * (needed + 1) + size // 2
-    whole = (low >= 0) & (high <= power.shape[1])
+    is_inside = (low >= 0) & (high <= power.shape[1])
     medians = np.empty((len(power), len(needed)), power.dtype)
-    if whole.any():
-        medians[:, whole] = row_medians(
-            np.lib.stride_tricks.sliding_window_view(power, high[0] - low[0], 1)[:, low[whole]]
+    if is_inside.any():
+        medians[:, is_inside] = row_medians(
+            np.lib.stride_tricks.sliding_window_view(power, high[0] - low[0], 1)[:, low[is_inside]]
         )
-    for k in np.flatnonzero(~whole):
+    for k in np.flatnonzero(~is_inside):
         medians[:, k] = row_medians(power[:, max(0, low[k]) : high[k]])
     return np.asarray(medians[:, place])
 

@@ -145,8 +145,8 @@ def _scatter(series: Array) -> Array:
 
 def _trimmed_mean(squares: Array) -> Array:
     """Return the mean (...) of squares (d, ...) of normal deviates from the least ones."""
-    kept = max(1, int(KEPT_SHARE * len(squares)))
-    return np.asarray(np.sort(squares, axis=0)[:kept].mean(axis=0) / KEPT_MEAN)
+    count = max(1, int(KEPT_SHARE * len(squares)))
+    return np.asarray(np.sort(squares, axis=0)[:count].mean(axis=0) / KEPT_MEAN)
 
 
 def _largest_change(series: Array) -> Array:
