@@ -6,6 +6,8 @@ poles s_m. A loss factor, with which the stiffness grows with frequency, has no 
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +23,8 @@ LARGEST_ERROR = 1e-10
 and rounding grows as their vectors become parallel. Usual are 1e-14."""
 COMPARED = 4
 """Frequencies that are compared, besides that nearest to a pole: spread evenly over the others."""
+KEPT_SYSTEMS = 4
+"""Systems whose poles are kept, one for each speed with a gyroscope: the runs of a batch have one."""
 
 
 def forces_from_poles(system: System, frequency: Array, spin: float) -> ComplexArray | None:
@@ -30,7 +34,7 @@ def forces_from_poles(system: System, frequency: Array, spin: float) -> ComplexA
     """
     if len(frequency) < FEWEST_FREQUENCIES or np.min(frequency) <= 0 or _varies_with_frequency(system):
         return None
-    modal = _poles_and_residues(system, spin)
+    modal = _poles_and_residues(system, system.coupled_spin(spin))
     if modal is None:
         return None
     poles, residues = modal
@@ -66,6 +70,7 @@ def _varies_with_frequency(system: System) -> bool:
     return any(part.value.any() for part in (*pencil, system.readings_loss, system.readings_frequency_stiffness))
 
 
+@functools.lru_cache(maxsize=KEPT_SYSTEMS)
 def _poles_and_residues(system: System, spin: float) -> tuple[ComplexArray, ComplexArray] | None:
     """Poles (2 n,) [1/s] and residues (2 n, e, 6) of the forces; None where a coordinate has no mass."""
     pencil, n = system.pencil, len(system.pencil.mass.value)

@@ -43,9 +43,9 @@ class Pencil:
         return np.asarray(self.damping.derivative + 2 * np.pi * spin * self.gyroscopic.derivative)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class System:
-    """A balance with derivatives, ready to be solved; n coordinates, e springs.
+    """A balance with derivatives, ready to be solved; n coordinates, e springs. Two of them are never equal.
 
     `equations` are those it was assembled from. In `pencil`, `inputs` (n, 6) and `reactions` (n, e) the rows of
     flexible parts are multiplied by their compliance. `readings` R (e, n) are the forces of the springs per unit
@@ -70,6 +70,10 @@ class System:
     def springs_of_channels(self) -> list[int]:
         """Index of the spring that each channel reads (c,)."""
         return [path.spring for path in self.equations.paths]
+
+    def coupled_spin(self, spin: float) -> float:
+        """Return the rotor speed [Hz] that the equations depend on: 0 without gyroscopic coupling."""
+        return spin if self.pencil.gyroscopic.value.any() else 0.0
 
     @property
     def parameters(self) -> int:

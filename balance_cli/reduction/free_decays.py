@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.model.system import System
 from balance_cli.model.transient_modes import transient_modes
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST, EDGE_REVOLUTIONS
+from balance_cli.signals.rotor.edge_weight import EDGE_REVOLUTIONS
+from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST
 from balance_cli.signals.rotor.other_lines import OtherLines
 
 DECAY_TIME_CONSTANTS = 12.0
 """Time constants of a mode after which its start transient is not fitted: exp(-12) is 6e-6, below what the noise of
 amplitudes lets one see. A mode at 122.5 Hz with a damping ratio of 0.0003, 28 % of whose transient were left, had
 changed a load at 120 Hz by 14 standard deviations."""
+KEPT_SYSTEMS = 4
+"""Systems, speeds and sample rates whose modes are kept: the runs of a batch have few of them."""
 LARGEST_RESPONSE_CHANGE = 1e-3
 """Relative change of the response to a harmonic over an interval, with the rotor speed, up to which decays are fitted
 to the record as it is.
@@ -57,5 +62,12 @@ def _lasting_exponents(system: System, run: Run, time: float) -> tuple[complex, 
     """Return the eigenvalues [1/s] of the oscillating modes that have not decayed at a time [s]."""
     assert run.sample_rate is not None
     highest = 0.5 * BELOW_NYQUIST * run.sample_rate
-    modes = transient_modes(system, run.rotor_speed, highest, DECAY_TIME_CONSTANTS / time, with_derivatives=False)
-    return tuple(modes.s[: modes.oscillating].tolist())
+    s = _oscillating_modes(system, system.coupled_spin(run.rotor_speed), highest)
+    return tuple(s[-s.real < DECAY_TIME_CONSTANTS / time].tolist())
+
+
+@functools.lru_cache(maxsize=KEPT_SYSTEMS)
+def _oscillating_modes(system: System, spin: float, highest: float) -> NDArray[np.complex128]:
+    """Return the eigenvalues [1/s] of the oscillating modes below a frequency [Hz]."""
+    modes = transient_modes(system, spin, highest, with_derivatives=False)
+    return modes.s[: modes.oscillating]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from balance_cli.reduction.response_sources import (
 from balance_cli.reduction.speed_modulation import ChannelResponse, without_speed_modulation
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias_response
-from balance_cli.signals.channel_noise import CleanRecord, channel_noise
+from balance_cli.signals.record_spectrum import RecordSpectrum, record_spectrum
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.rotor.harmonics import (
@@ -77,6 +78,11 @@ class RotorRecord:
     other_rotors: tuple[Azimuth, ...] = ()
     confounded: tuple[ConfoundedLine, ...] = ()
     recorded: Run | None = None
+
+    @cached_property
+    def spectrum_over_time(self) -> RecordSpectrum:
+        """The spectrum of the usable channels in the interval of the harmonics, or in the middle of it."""
+        return record_spectrum(self.run, self.health.live, self.spectra.interval)
 
     @property
     def spin(self) -> float:
@@ -248,9 +254,9 @@ def _known_error(record: RotorRecord, source: ResponseSource, rows: list[int], l
 
 def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:
     """Return the noise variance (c,) [V2] of one sample of each live channel, in the interval of the harmonics."""
-    assert record.run.sample_rate is not None
-    start, stop = (int(t * record.run.sample_rate) for t in record.spectra.interval)
-    return channel_noise(CleanRecord(record.run, record.health.live, ((start, stop),)), geometry.acquisition)
+    spectrum = record.spectrum_over_time
+    noise = spectrum.noise_variance(geometry.acquisition)
+    return noise[[spectrum.names.index(name) for name in record.health.live]]
 
 
 def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> ComplexArray:

@@ -126,9 +126,7 @@ def assess_trust(
     regressed, reached = 0, np.zeros(shape, bool)
     if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
         gain = _power_gain(record, source)
-        lines = unmodelled_lines(
-            record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain, record.other_rotors
-        )
+        lines = unmodelled_lines(record.spectrum_over_time, record.azimuth, n, gain, record.other_rotors)
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
         reached[1:] = _reached_loads(lines, record, regressed, solution, sigma[1:])
     steadiness = examine_steadiness(record, geometry, source, static, sigma)

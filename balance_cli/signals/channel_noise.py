@@ -13,6 +13,7 @@ from balance_cli.campaign.rig.geometry import Acquisition
 from balance_cli.signals.cross_spectra import MAIN_LOBE, noise_variance_above
 
 Array = NDArray[np.float64]
+Real = NDArray[np.floating]
 
 WINDOW_TIME = 1.28
 """Length [s] of a window: short enough that harmonics of a drifting rotor speed remain narrow."""
@@ -55,18 +56,27 @@ class CleanRecord:
 
     def window(self, seconds: float) -> int:
         """Return the samples of a window of about `seconds`: a power of two, at most a third of the longest span."""
-        longest = max(stop - start for start, stop in self.spans)
-        samples = min(seconds / self.step, longest / 3)
-        return int(2 ** np.round(np.log2(max(samples, 4 * MAIN_LOBE))))
+        return _window(seconds / self.step, max(stop - start for start, stop in self.spans))
+
+
+def _window(samples: float, longest: int) -> int:
+    return int(2 ** np.round(np.log2(max(min(samples, longest / 3), 4 * MAIN_LOBE))))
 
 
 def channel_noise(clean_record: CleanRecord, acquisition: Acquisition) -> Array:
     """Return the noise variance (c,) [V2] of one sample of each channel, from frequencies above all loads."""
-    nyquist = 0.5 / clean_record.step
-    cutoff = acquisition.filter.cutoff if acquisition.filter else np.inf
-    lowest = LOAD_FREE_CUTOFF_FACTOR * cutoff
-    if lowest >= LOAD_FREE_NYQUIST_SHARE * nyquist:
-        lowest = LOAD_FREE_NYQUIST_SHARE * nyquist
+    lowest = _lowest_load_free_frequency(acquisition, 0.5 / clean_record.step)
     return noise_variance_above(
         lowest, clean_record.channel_parts(), clean_record.step, clean_record.window(WINDOW_TIME)
     )
+
+
+def row_noise(rows: Real, sample_rate: float, acquisition: Acquisition) -> Array:
+    """Return the same, in the square of their unit, of one stretch of rows (c, m), in their precision."""
+    lowest = _lowest_load_free_frequency(acquisition, 0.5 * sample_rate)
+    return noise_variance_above(lowest, [rows], 1.0 / sample_rate, _window(WINDOW_TIME * sample_rate, rows.shape[1]))
+
+
+def _lowest_load_free_frequency(acquisition: Acquisition, nyquist: float) -> float:
+    cutoff = acquisition.filter.cutoff if acquisition.filter else np.inf
+    return float(min(LOAD_FREE_CUTOFF_FACTOR * cutoff, LOAD_FREE_NYQUIST_SHARE * nyquist))

@@ -12,6 +12,7 @@ from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Real = NDArray[np.floating]
 
 MAIN_LOBE = 4
 """Frequency bins from the center of the main lobe of the window to its edge (Blackman-Harris, four terms)."""
@@ -74,11 +75,11 @@ def cross_spectra(
     return CrossSpectra(frequency[bins], density, np.maximum(INDEPENDENT_PER_WINDOW * count[bins], 1.0))
 
 
-def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, length: int) -> Array:
+def noise_variance_above(lowest: float, parts: Iterable[Real], step: float, length: int) -> Array:
     """Return the variance (c,) [V2] of one sample of white noise, from the bins above `lowest` [Hz].
 
-    It is the median of the bins of the power spectra over the parts (c, n), so that a tone among them has no effect.
-    Raises UserError where no part is as long as a window, or no bin is above.
+    It is the median of the bins of the power spectra over the parts (c, n), so that a tone among them has no effect,
+    in the precision of the parts. Raises UserError where no part is as long as a window, or no bin is above.
     """
     window = blackman_harris(length)
     frequency = np.fft.rfftfreq(length, step)
@@ -90,14 +91,15 @@ def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, len
             continue
         starts = np.lib.stride_tricks.sliding_window_view(part, length, axis=1)[:, :: length // 3]
         count += starts.shape[1]
-        power.append([_summed_power(windows, window, slice(first, end)) for windows in starts])
+        taper = window.astype(part.dtype)
+        power.append([_summed_power(windows, taper, slice(first, end)) for windows in starts])
     if not count or first >= end:
         raise _no_window_error(length * step)
     density = np.sum(power, axis=0) / (np.sum(window**2) * count)
     return np.asarray(np.median(density, axis=1) / _median_of_mean(max(INDEPENDENT_PER_WINDOW * count, 1.0)))
 
 
-def _summed_power(windows: Array, taper: Array, bins: slice) -> Array:
+def _summed_power(windows: Real, taper: Real, bins: slice) -> Real:
     """Return the power (k,) of the spectra of windows (w, n) of one channel at bins beyond the main lobe, summed.
 
     The mean of a window is in the main lobe alone.

@@ -90,3 +90,12 @@ def test_decays_are_those_of_their_exponents_at_even_and_at_uneven_times(jump):
     exact = np.exp(np.outer(time - 1.25, lines.exponents))
     basis = lines.basis(time).T
     assert basis == pytest.approx(np.hstack([exact.real, exact.imag]), rel=0.0, abs=1e-12)
+
+
+def test_a_decay_leaves_the_regression_once_it_has_faded():
+    lines = OtherLines((7.0,), (-0.8 + 142.0j, -7.4 + 372.0j), start=1.25)
+    time = np.array([10.0, 11.0])
+    remaining, columns = lines.remaining(10.0)
+    assert remaining.exponents == (-0.8 + 142.0j,)
+    assert remaining.basis(time) == pytest.approx(lines.basis(time)[columns], rel=1e-12)
+    assert np.abs(np.delete(lines.basis(time), columns, axis=0)).max() < 1e-9

@@ -12,7 +12,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.reduction.kalman.load_history import LoadHistory, LoadTrack
 from balance_cli.reduction.kalman.segments import Estimates, MarkedEstimates
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.harmonics import edge_weight
+from balance_cli.signals.rotor.edge_weight import edge_weight
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.harmonics import Harmonics, edge_weight
+from balance_cli.signals.rotor.edge_weight import edge_weight
+from balance_cli.signals.rotor.harmonics import Harmonics
 from balance_cli.signals.rotor.line_sums import unit_powers
 
 Array = NDArray[np.float64]

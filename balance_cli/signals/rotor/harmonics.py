@@ -14,6 +14,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
+from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
 from balance_cli.signals.rotor.joint_regression import JointRegression, complex_amplitudes, harmonic_products
 from balance_cli.signals.rotor.line_sums import LineSums, trigonometric_basis
@@ -24,29 +25,12 @@ ComplexArray = NDArray[np.complex128]
 
 FEWEST_REVOLUTIONS = 10
 """Revolutions of the shortest interval; fewer leave too few lines between two harmonics for the noise."""
-EDGE_REVOLUTIONS = 12
-"""Revolutions over which the weight rises at either end: leakage then falls off within a twelfth of an order."""
 FITTED_HARMONICS = 24
 """Least number of harmonics in the regression, where the sample rate permits: those left out would leak."""
 BELOW_NYQUIST = 0.98
 """Of half the sample rate: the highest frequency of a harmonic, at the highest speed."""
 BLOCK_SAMPLES = 4096
 """Samples in a block: the basis of 49 columns then takes 1.6 MB, and stays in the cache of a core."""
-# w(u) = u^3 (a + b u + c u^2 + d u^3 + e u^4) rises from 0 to 1, with zero first and second derivatives at either end.
-# It has the moments of a step: the integrals of (w - 1) and of (w - 1) u vanish.
-EDGE_POWERS = np.arange(3.0, 8.0)
-EDGE_POLYNOMIAL = np.linalg.solve(
-    np.array(
-        [
-            np.ones(5),
-            EDGE_POWERS,
-            EDGE_POWERS * (EDGE_POWERS - 1),
-            1 / (EDGE_POWERS + 1),
-            1 / (EDGE_POWERS + 2),
-        ]
-    ),
-    np.array([1.0, 0.0, 0.0, 1.0, 0.5]),
-)
 
 
 @dataclass(frozen=True)
@@ -89,6 +73,7 @@ class Harmonics:
 class _AzimuthBlock:
     """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight, `other` (e, m), signals (m, c).
 
+    `other_columns` (e,) are the places of the other columns among those of the whole record, of which some have faded.
     `turns` is the number of revolutions of the interval.
     """
 
@@ -97,6 +82,7 @@ class _AzimuthBlock:
     fraction: Array
     weight: Array
     other: Array
+    other_columns: NDArray[np.int64]
     signals: Array
     turns: int
 
@@ -173,16 +159,6 @@ def estimate_harmonics(
     return Harmonics(run.name, names, frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples)
 
 
-def edge_weight(revolution: Array, first: int, last: int) -> Array:
-    """Return the weight of the regression at a revolution count from `first` to `last`; it is 1 except at the ends."""
-    edge = min(float(EDGE_REVOLUTIONS), (last - first) / 4)
-    u = np.clip(np.minimum(revolution - first, last - revolution) / edge, 0.0, 1.0)
-    weight = np.ones_like(u)
-    rising = u < 1.0
-    weight[rising] = u[rising] ** 3 * np.polyval(EDGE_POLYNOMIAL[::-1], u[rising])
-    return weight
-
-
 def _signal_names(run: Run) -> tuple[str, ...]:
     return run.channel_names + (COMPONENTS if run.has_loads else ())
 
@@ -219,7 +195,8 @@ def _weighted_blocks(
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
         weight = edge_weight(revolution, first, last)
-        yield _AzimuthBlock(psi, speed, fraction, weight, other.basis(time), signals, last - first)
+        lines, columns = other.remaining(float(time[0]))
+        yield _AzimuthBlock(psi, speed, fraction, weight, lines.basis(time), columns, signals, last - first)
 
 
 def _sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
@@ -260,12 +237,13 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     np.multiply(basis[F : 2 * F + 1 : max(F, 1)], w, out=weighted[c + 1 : c + 3])
     np.multiply(basis[2 * F + 1 :], w, out=weighted[c + 3 :])
     products = weighted @ basis.T
-    sums.moment += products[:c].T
+    columns = np.concatenate([np.arange(2 * F + 1), 2 * F + 1 + samples.other_columns])
+    sums.moment[columns] += products[:c].T
     constant, cosine, sine = products[c : c + 3, : 2 * F + 1]
     sums.turning[: F + 1] += constant[: F + 1]
     sums.turning[1 : F + 1] += 1j * constant[F + 1 :]
     sums.turning[F + 1 :] += cosine[1 : F + 1] - sine[F + 1 :] + 1j * (sine[1 : F + 1] + cosine[F + 1 :])
-    sums.border += products[c + 3 :]
+    sums.border[samples.other_columns[:, None], columns] += products[c + 3 :]
     q = blackman_taper(samples.fraction) * samples.speed
     sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), samples.signals * q[:, None])
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]

@@ -6,7 +6,7 @@ Regressed together with the harmonics of the rotor they leak neither into these 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ LEAST_SEPARATION = 1.0
 """Cycles within the record by which two lines must differ to be told apart: the distance of two bins."""
 STRIDE = 128
 """Samples of a block whose exponentials are products; its two factors together are a hundredth of the samples."""
+FADED_TIME_CONSTANTS = 21.0
+"""Time constants after which a decay is taken for zero: exp(-21) is 1e-9, far below the noise of any channel."""
 UNEVEN = 1e-12
 """[s] by which even steps may differ: rounding of times below an hour; 1e-8 of a cycle at 10 kHz."""
 
@@ -45,6 +47,14 @@ class OtherLines:
         decays = self._decays(np.maximum(time - self.start, 0.0))
         basis[2 * tones : 2 * tones + count], basis[2 * tones + count :] = decays.real, decays.imag
         return basis
+
+    def remaining(self, time: float) -> tuple[OtherLines, NDArray[np.int64]]:
+        """Return the lines that have not faded at a time [s], and their columns of the basis."""
+        tones, count = len(self.frequencies), len(self.exponents)
+        rates = -np.array(self.exponents, complex).real
+        kept = np.flatnonzero(rates * (time - self.start) < FADED_TIME_CONSTANTS)
+        columns = np.concatenate([np.arange(2 * tones), 2 * tones + kept, 2 * tones + count + kept])
+        return replace(self, exponents=tuple(self.exponents[k] for k in kept)), columns
 
     def _decays(self, time: Array) -> ComplexArray:
         """Return exp(s t) (exponents, m) at ascending times (m,).

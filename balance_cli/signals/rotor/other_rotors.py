@@ -18,7 +18,8 @@ from balance_cli.campaign.recording.run import Run, SampleBlock, SampleSource
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
-from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST, FITTED_HARMONICS, edge_weight
+from balance_cli.signals.rotor.edge_weight import edge_weight
+from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST, FITTED_HARMONICS
 
 Array = NDArray[np.float64]
 

@@ -6,23 +6,21 @@ constant frequency (mains, a pump, another rotor) is one.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.run import Run, read_channel_rows
-from balance_cli.signals.amplitude_spectrum import fast_length, normalize_channels
+from balance_cli.signals.record_spectrum import RecordSpectrum, line_powers
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.spectral_floor import block_size, local_maxima, spectral_floor
 
 Array = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-LONGEST_RECORD = 65536
-"""Samples that are examined at most, from the middle of the interval: a line of a minute is a line."""
+FEWEST_SAMPLES = 256
+"""With fewer samples a line does not stand out of a floor that is the median of neighboring bins."""
 LINE_TO_FLOOR = 1000.0
 """Power of a line over the median around it: noise of a million independent lines reaches 40, resonances do not rise
 so far within the width of the median."""
@@ -71,64 +69,52 @@ PowerGain = Callable[[Array], Array]
 
 
 def unmodelled_lines(
-    run: Run,
+    spectrum: RecordSpectrum,
     azimuth: Azimuth,
-    names: tuple[str, ...],
     n: int,
-    interval: tuple[float, float],
     power_gain: PowerGain | None = None,
     other_rotors: Sequence[Azimuth] = (),
 ) -> tuple[UnmodelledLine, ...]:
-    """Return the lines of the named channels in an interval [s] that harmonics 0 to `n` do not contain.
+    """Return the lines in the spectrum of a record between its pulses that harmonics 0 to `n` do not contain.
 
     `power_gain` returns |T|^2 (k, c, m) of the channels at frequencies (k,) [Hz]: a light mode that gusts excite is as
     narrow as a line in a record of a few of its time constants, and is not one as far as the response explains it.
     `other_rotors` are those whose lines were taken out of the run: what is left beside their harmonics is known.
     """
-    assert run.sample_rate is not None
-    first, last = _examined_samples(run.sample_rate, interval)
-    time = np.arange(first, last) / run.sample_rate
-    begin, end = np.searchsorted(time, azimuth.first), np.searchsorted(time, azimuth.last, side="right")
-    time = time[begin:end]
-    if len(time) < 256:
+    samples, rate = spectrum.rows.shape[1], spectrum.sample_rate
+    if samples < FEWEST_SAMPLES:
         return ()
-    turns = azimuth.of_samples(run.sample_rate, first + int(begin), first + int(end))[0] / (2 * np.pi)
-    speed = float((turns[-1] - turns[0]) / (time[-1] - time[0]))
-    channels, scale = normalize_channels(read_channel_rows(run, names, first + int(begin), first + int(end)))
-    per_turn = (len(turns) - 1) / (turns[-1] - turns[0])
-    order, over_azimuth = _spectrum(_resample_evenly(turns, channels), per_turn)
-    frequency, over_time = _spectrum(channels, run.sample_rate)
+    turns = azimuth.of_samples(rate, spectrum.first, spectrum.first + samples)[0] / (2 * np.pi)
+    per_turn = (samples - 1) / float(turns[-1] - turns[0])
+    speed = rate / per_turn
+    order, over_azimuth = line_powers(_resample_evenly(turns, spectrum.rows), per_turn)
+    spectra = _Spectra(spectrum.names, order * speed, over_azimuth, spectrum.frequency, spectrum.power)
     largest = _largest_harmonic(order, over_azimuth, n)
+    time = (spectrum.first + np.array([0.0, samples - 1.0])) / rate
     ranges = [_speed_range(item, time) for item in (azimuth, *other_rotors)]
-    highest = BELOW_NYQUIST * 0.5 * run.sample_rate / speed
+    highest = BELOW_NYQUIST * 0.5 * per_turn
+    names, scale = spectrum.names, spectrum.scale
     rotor_lines = [
         UnmodelledLine(o * speed, round(o), names[c], a * scale[c], True)
         for o, c, a in _peaks(order, over_azimuth, largest)
         if n + 0.5 < o < highest and abs(o - round(o)) < 0.05
     ]
+    margin = SIDEBAND_BINS * spectrum.frequency[1]
     fixed_lines = [
         UnmodelledLine(f, f / speed, names[c], a * scale[c], False)
-        for f, c, a in _peaks(frequency, over_time, largest)
-        if f < highest * speed and not any(_beside_harmonic(f, *span, SIDEBAND_BINS * frequency[1]) for span in ranges)
+        for f, c, a in _peaks(spectrum.frequency, spectrum.power, largest)
+        if f < highest * speed and not any(_beside_harmonic(f, *span, margin) for span in ranges)
     ]
     found = sorted(rotor_lines + fixed_lines, key=lambda line: -line.amplitude)
     if power_gain is not None:
-        spectra = _Spectra(names, order * speed, over_azimuth, frequency, over_time)
         found = [line for line in found if not _is_resonance(line, spectra, power_gain)]
     return tuple(found[:MOST_LINES])
 
 
-def _examined_samples(rate: float, interval: tuple[float, float]) -> tuple[int, int]:
-    """Return first sample and end of the middle of an interval [s], as far as it is examined."""
-    first, last = (int(t * rate) for t in interval)
-    excess = max(0, last - first - LONGEST_RECORD) // 2
-    return first + excess, last - excess
-
-
 @dataclass(frozen=True)
 class _Spectra:
-    """Amplitudes (c, k) of the named channels over azimuth, at `turning` [Hz] of the mean speed, and over time, at
-    `fixed`, relative to the largest value of each channel.
+    """Powers (c, k) of lines of the named channels over azimuth, at `turning` [Hz] of the mean speed, and over time, at
+    `fixed`, relative to the square of the largest value of each channel.
     """
 
     names: tuple[str, ...]
@@ -141,17 +127,16 @@ class _Spectra:
 def _is_resonance(line: UnmodelledLine, spectra: _Spectra, power_gain: PowerGain) -> bool:
     """Whether the response explains how far a line stands out."""
     if line.turns_with_rotor:
-        frequency, amplitude = spectra.turning, spectra.over_azimuth
+        frequency, power = spectra.turning, spectra.over_azimuth
     else:
-        frequency, amplitude = spectra.fixed, spectra.over_time
+        frequency, power = spectra.fixed, spectra.over_time
     width = frequency[1] * block_size(len(frequency))
-    clearance = _clearance(line, spectra.names, frequency, amplitude)
+    clearance = _clearance(line, frequency, power[[spectra.names.index(line.channel)]])
     return clearance <= LINE_TO_FLOOR * _resonance(line, spectra.names, width, power_gain)
 
 
-def _clearance(line: UnmodelledLine, names: tuple[str, ...], frequency: Array, amplitude: Singles) -> float:
-    """Return the power of a line over the floor of its channel."""
-    power = amplitude[[names.index(line.channel)]] ** 2
+def _clearance(line: UnmodelledLine, frequency: Array, power: Singles) -> float:
+    """Return the power of a line over the floor of its channel, whose spectrum is `power` (1, k)."""
     at = int(np.argmin(np.abs(frequency - line.frequency)))
     floor = float(spectral_floor(power, np.array([at]))[0, 0])
     return float(power[0, max(0, at - 1) : at + 2].max()) / max(floor, TINY)
@@ -184,54 +169,30 @@ def _resample_evenly(turns: Array, channels: Singles) -> Singles:
     last = len(turns) - 1
     position = np.interp(np.linspace(turns[0], turns[-1], last + 1), turns, np.arange(last + 1))
     index = np.minimum(position.astype(np.int64), last - 1)
-    below = np.take(channels, index, axis=1)
-    step = np.take(channels, index + 1, axis=1)
+    below = np.take(channels, index, axis=1, mode="clip")
+    step = np.take(channels, index + 1, axis=1, mode="clip")
     step -= below
     step *= (position - index).astype(np.float32)
     step += below
     return np.asarray(step)
 
 
-def _spectrum(channels: Singles, rate: float) -> tuple[Array, Singles]:
-    """Return frequencies and amplitudes (c, k) under a Blackman window, whose side lobes lie 58 dB down.
-
-    The last samples are left out where their number has a large prime factor.
-    """
-    from scipy.fft import rfft
-
-    channels = channels[:, : fast_length(channels.shape[1])]
-    window = _blackman(channels.shape[1])
-    tapered = channels - channels.mean(axis=1, keepdims=True)
-    tapered *= window
-    spectrum = rfft(tapered, axis=1, overwrite_x=True)
-    amplitude = np.sqrt(spectrum.real**2 + spectrum.imag**2)  # np.abs, safe for values of any size, takes much longer
-    amplitude *= np.float32(2.0 / window.sum(dtype=np.float64))
-    return np.asarray(np.fft.rfftfreq(channels.shape[1], 1.0 / rate)), amplitude
-
-
-@functools.lru_cache(maxsize=4)
-def _blackman(samples: int) -> Singles:
-    """Return the window; the runs of a batch have few lengths."""
-    return np.asarray(np.blackman(samples), np.float32)
-
-
-def _largest_harmonic(order: Array, amplitude: Singles, n: int) -> Singles:
-    """Return the amplitude (c,) of the largest of harmonics 1 to n of each channel."""
+def _largest_harmonic(order: Array, power: Singles, n: int) -> Singles:
+    """Return the power (c,) of the largest of harmonics 1 to n of each channel."""
     index = np.clip(np.round(np.arange(1, n + 1) / order[1]).astype(int), 0, len(order) - 1)
-    return np.asarray(amplitude[:, index].max(axis=1, initial=0.0))
+    return np.asarray(power[:, index].max(axis=1, initial=0.0))
 
 
-def _peaks(frequency: Array, amplitude: Singles, largest: Singles) -> list[tuple[float, int, float]]:
+def _peaks(frequency: Array, power: Singles, largest: Singles) -> list[tuple[float, int, float]]:
     """Return frequency, channel and amplitude of the lines that stand out of their surroundings and matter."""
-    share = amplitude * (1.0 / np.maximum(largest, TINY))[:, None]
-    material = np.flatnonzero(share.max(axis=0, initial=0.0) > MATERIAL_SHARE)
-    power = amplitude**2
+    share = power * (1.0 / np.maximum(largest, TINY))[:, None]
+    material = np.flatnonzero(share.max(axis=0, initial=0.0) > MATERIAL_SHARE**2)
     clear = power[:, material] > LINE_TO_FLOOR * np.maximum(spectral_floor(power, material), TINY)
     of_line = np.where(clear, share[:, material], 0.0)
     strongest = np.zeros(len(frequency))
     strongest[material] = of_line.max(axis=0, initial=0.0)
-    top = local_maxima(strongest)[material] & (strongest[material] > MATERIAL_SHARE)
+    top = local_maxima(strongest)[material] & (strongest[material] > MATERIAL_SHARE**2)
     return [
-        (float(frequency[i]), int(np.argmax(shares)), float(amplitude[np.argmax(shares), i]))
+        (float(frequency[i]), int(np.argmax(shares)), float(np.sqrt(power[np.argmax(shares), i])))
         for i, shares in zip(material[top], of_line.T[top], strict=True)
     ]

@@ -6,7 +6,8 @@ from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
-from balance_cli.signals.rotor.harmonics import edge_weight, estimate_harmonics
+from balance_cli.signals.rotor.edge_weight import edge_weight
+from balance_cli.signals.rotor.harmonics import estimate_harmonics
 from balance_cli.signals.rotor.other_lines import OtherLines
 
 RATE, SAMPLE_RATE = 17.5, 800.0

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.signals.record_spectrum import record_spectrum
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.unmodelled_lines import unmodelled_lines
 
@@ -22,7 +23,7 @@ def lines(*, orders=None, tones=None, n=8, noise=1e-3):
         "w", "rig", "wind", ("a", "b"), len(TIME), MemorySource(channels, None), sample_rate=RATE, pulse_times=pulses
     )  # fmt: skip
     azimuth = azimuth_from_pulses(run.pulse_times)
-    return unmodelled_lines(run, azimuth, ("a", "b"), n, (azimuth.first, azimuth.last))
+    return unmodelled_lines(record_spectrum(run, ("a", "b"), (azimuth.first, azimuth.last)), azimuth, n)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-2, 1.0])
@@ -75,6 +76,6 @@ def test_a_light_mode_that_gusts_excite_is_no_line_where_the_response_explains_i
         H = w0**2 / (w0**2 - (2 * np.pi * frequency) ** 2 + 2j * zeta * 2 * np.pi * frequency * w0)
         return np.tile(np.abs(H)[:, None, None] ** 2, (1, 2, 6))
 
-    arguments = (run, azimuth, ("a", "b"), 8, (azimuth.first, azimuth.last))
+    arguments = (record_spectrum(run, ("a", "b"), (azimuth.first, azimuth.last)), azimuth, 8)
     assert [round(line.frequency, 1) for line in unmodelled_lines(*arguments)] == [3.5]
     assert unmodelled_lines(*arguments, power_gain) == ()
