@@ -23,6 +23,9 @@ FEWEST_PULSES = 12
 """Fewer pulses are left as they are: their scatter cannot be told from a change of speed."""
 SCATTER_ORDER = 8
 """Order of the differences of pulse times that show their scatter: changes of speed over tens of revolutions vanish."""
+STEP_MARGIN = 1.15
+"""Of half a step of the pulse times, by which the smooth curve may depart from a time: its own error is on top. With
+steps of 0.6 to 20 deg of azimuth and speeds that vary by up to 3 % its error is less than with 1.05, and as stated."""
 PROBES = 8
 """Random signs by which the trace of the smoother is estimated (Hutchinson), to some percent of the trace."""
 
@@ -56,11 +59,13 @@ def pulse_scatter(times: Array, revolutions: NDArray[np.int64]) -> float:
     return 1.4826 * median / math.sqrt(math.comb(2 * SCATTER_ORDER, SCATTER_ORDER))
 
 
-def smooth_pulses(times: Array, revolutions: NDArray[np.int64]) -> SmoothedPulses:
+def smooth_pulses(times: Array, revolutions: NDArray[np.int64], step: float = 0.0) -> SmoothedPulses:
     """Smooth the pulse times (p,) [s] of these revolutions; missing revolutions are interpolated.
 
     The penalty on the third differences is that of least generalized cross-validation: a change of speed that the
-    pulses show beyond their scatter stays.
+    pulses show beyond their scatter stays. Times that are whole multiples of a `step` [s] scatter in long patterns
+    where the revolution is nearly a multiple, too, which cross-validation takes for changes of speed. A larger penalty
+    is taken then, as long as no time departs by more than half a step (discrepancy principle, Morozov).
     """
     count = int(revolutions[-1]) + 1
     line = np.polynomial.Polynomial.fit(revolutions, times, 1)
@@ -72,7 +77,9 @@ def smooth_pulses(times: Array, revolutions: NDArray[np.int64]) -> SmoothedPulse
     probes = np.random.default_rng(0).choice([-1.0, 1.0], (count, PROBES))
     trials = [_smooth(values, weights, penalty, probes) for penalty in PENALTIES]
     gcv = [len(times) * residual / (len(times) - dof) ** 2 for _, residual, dof in trials]
-    smooth, residual, dof = trials[int(np.argmin(gcv))]
+    largest = [np.abs(weights * (values - curve)).max() for curve, _, _ in trials]
+    within_step = np.flatnonzero(np.array(largest) <= 0.5 * STEP_MARGIN * step)
+    smooth, residual, dof = trials[max([int(np.argmin(gcv)), *within_step])]
     scatter = float(np.sqrt(residual / max(len(times) - dof, 1.0)))
     sigma = scatter * float(np.sqrt(dof / len(times)))
     return SmoothedPulses(smooth + line(np.arange(count)), sigma, scatter, len(times) / dof)
