@@ -25,7 +25,7 @@ import numpy as np
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli.batch.executors import keep_freed_memory
-from balance_cli.cli.batch.work import Item, pickled, reduce_file, survey_run
+from balance_cli.cli.batch.work import Item, pickle_reduction, reduce_file, survey_run
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.reduction.model_sources import model_source
@@ -79,7 +79,7 @@ def _measure() -> tuple[float, float, float, dict[str, float]]:
     statics = [open_run(path) for path in sorted((ROOT / "sample_data").glob("static-*.h5"))]
     source = model_source(identify(measured_spectra(sweeps, geometry, means=True), geometry))
     options = MethodOptions("harmonic", None, None, 8)
-    data = pickled(Reduction(options, geometry, calibrate(statics, geometry), source, None, None))
+    data = pickle_reduction(Reduction(options, geometry, calibrate(statics, geometry), source, None, None))
     with TemporaryDirectory() as folder:
         paths = write_wind_runs(Path(folder), geometry, RUNS)
         read = _time_per_run(_read_samples, paths)

@@ -292,4 +292,4 @@ def read_load_points(run: Run, channel_names: Sequence[str], components: LoadCom
     """Read the readings (m, c) [V] and loads (m, k) [N, N m] of a static run."""
     loads = run.read().loads
     assert loads is not None
-    return read_channels(run, channel_names), components.carried(loads)
+    return read_channels(run, channel_names), components.from_hub_loads(loads)

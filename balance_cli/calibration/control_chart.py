@@ -80,12 +80,12 @@ class ControlChart:
         return SIGNIFICANCE_LEVEL / max(len(self.coefficients), 1)
 
     @property
-    def drifting(self) -> tuple[CoefficientHistory, ...]:
+    def drifting_coefficients(self) -> tuple[CoefficientHistory, ...]:
         """The coefficients whose drift is significant."""
         return tuple(each for each in self.coefficients if each.drift_p < self.p_limit)
 
     @property
-    def scattering(self) -> tuple[CoefficientHistory, ...]:
+    def scattering_coefficients(self) -> tuple[CoefficientHistory, ...]:
         """The coefficients that differ between the calibrations by significantly more than their errors."""
         return tuple(each for each in self.coefficients if each.scatter_p < self.p_limit)
 
@@ -97,7 +97,9 @@ class ControlChart:
     @property
     def alarms(self) -> tuple[CoefficientHistory, ...]:
         """The coefficients that drift, differ by more than their errors or left their limits; worst drift first."""
-        named = {each.key for each in (*self.drifting, *self.scattering, *self.out_of_control)}
+        named = {
+            each.key for each in (*self.drifting_coefficients, *self.scattering_coefficients, *self.out_of_control)
+        }
         return tuple(each for each in self.coefficients if each.key in named)
 
 

@@ -49,7 +49,7 @@ class Contraction:
     reach: Array
 
     @property
-    def proved(self) -> bool:
+    def is_proved(self) -> bool:
         """Whether the iteration converges for every load within EXTRAPOLATION_MARGIN times the calibrated range."""
         return self.rho < 1.0
 

@@ -137,7 +137,7 @@ class CalibrationModel:
             linear_loads, self.nonlinear_matrix(rows), self.parsed_terms[len(self.components) :]
         )
         inside = np.all(np.abs(x) <= proof.reach, axis=1)
-        return x * self.calibrated_range, converged & inside & proof.proved
+        return x * self.calibrated_range, converged & inside & proof.is_proved
 
     def load_covariance(
         self, loads: ArrayLike, reading_covariance: ArrayLike | None = None, rows: NDArray[np.intp] | None = None

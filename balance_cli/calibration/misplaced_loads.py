@@ -55,10 +55,12 @@ def find_misplaced_loads(rows: ScheduleRows) -> MisplacedLoads | None:
     if not trials:
         return None
     schedules = [_undo(rows.x, trial) for trial in trials]
-    left = _errors_left([rows.x[:, loaded], *(x[:, loaded] for x in schedules)], channels, block)
+    left = _residual_errors([rows.x[:, loaded], *(x[:, loaded] for x in schedules)], channels, block)
     score = _score(left, channels, dof, dof)
     best = 1 + int(np.argmin(score[1:]))
-    without = _errors_left([np.column_stack([rows.x[:, loaded], row]) for row in np.eye(len(rows.x))], channels, block)
+    without = _residual_errors(
+        [np.column_stack([rows.x[:, loaded], row]) for row in np.eye(len(rows.x))], channels, block
+    )
     others = [row for row in range(len(rows.x)) if (row,) != trials[best - 1]]
     rivals = np.r_[np.delete(score, best), _score(without, channels, dof - 1, dof)[others]]
     decisive = DECISIVE_SCORE + 2.0 * np.log(len(trials))
@@ -109,7 +111,7 @@ def _undo(x: Array, trial: tuple[int, ...]) -> Array:
     return corrected
 
 
-def _errors_left(schedules: list[Array], channels: Array, block: Index) -> Array:
+def _residual_errors(schedules: list[Array], channels: Array, block: Index) -> Array:
     """Sum of squares (t, c) that the loads of each schedule (m, k) leave of the readings (m, c), less their means."""
     share = (np.arange(int(block.max()) + 1)[:, None] == block) / np.bincount(block)[:, None]
     left = []

@@ -193,10 +193,13 @@ def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) ->
     if not any(check.channels for check in by_series.values()):
         return by_series
     scatter = gain_scatter(points, fit)
-    return {name: replace(check, channels=_beyond(check.channels, scatter[name])) for name, check in by_series.items()}
+    return {
+        name: replace(check, channels=_beyond_scatter(check.channels, scatter[name]))
+        for name, check in by_series.items()
+    }
 
 
-def _beyond(channels: list[SuspectLoadSeries], scatter: float) -> list[SuspectLoadSeries]:
+def _beyond_scatter(channels: list[SuspectLoadSeries], scatter: float) -> list[SuspectLoadSeries]:
     """Those whose gain differs from one by more than the `scatter` of the gains of the other load series."""
     limit = float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL)) * scatter
     return [suspect for suspect in channels if abs(suspect.gain - 1.0) > limit]

@@ -41,7 +41,7 @@ class TermChoice:
         return self.kind == LINEAR
 
     @property
-    def every_listed(self) -> tuple[str, ...]:
+    def all_listed_terms(self) -> tuple[str, ...]:
         """The terms listed for any channel."""
         return tuple(dict.fromkeys((*self.listed, *(name for names in self.by_channel.values() for name in names))))
 
@@ -66,7 +66,7 @@ class TermChoice:
 
     def for_all_channels(self) -> TermChoice:
         """The same terms in every output, for loads as functions of the readings."""
-        return replace(self, listed=self.every_listed, by_channel={})
+        return replace(self, listed=self.all_listed_terms, by_channel={})
 
     @staticmethod
     def _listed_terms(components: Sequence[str], names: Iterable[str]) -> set[Term]:
@@ -178,7 +178,7 @@ def require_known_names(choice: TermChoice, channels: Sequence[str], components:
             near = difflib.get_close_matches(channel, channels, n=1, cutoff=0.4)
             remedy = f"Is it `{near[0]}`?" if near else f"The channels are {', '.join(channels)}"
             raise UserError(f"the balance has no channel `{channel}`", place, "--terms", remedy)
-    for name in choice.every_listed:
+    for name in choice.all_listed_terms:
         try:
             parse_term(name, components)
         except UserError as error:

@@ -75,7 +75,7 @@ class UntestedProducts:
         further = (part.reading_variance(x) for part in (self.aliased, self.cubic) if part is not None)
         return np.asarray(sum(further, products**2 @ self.variance))
 
-    def described(self, loads: Array) -> tuple[str, ...]:
+    def describe(self, loads: Array) -> tuple[str, ...]:
         """What was not tested and matters at loads (k,) [N, N m], in words."""
         names, x = self.names(loads), np.atleast_2d(loads) / self.calibrated_range
         more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
@@ -226,6 +226,6 @@ def describe_untested(untested: UntestedProducts, loads: Array, components: Sequ
     """A sentence on the products that matter at loads (k,), and the components that they make uncertain."""
     return (
         "the calibration has nonlinear terms, but its load series do not tell "
-        f"{', nor '.join(untested.described(loads))}: sigma of {', '.join(components)} at these combined loads "
+        f"{', nor '.join(untested.describe(loads))}: sigma of {', '.join(components)} at these combined loads "
         "includes their probable size. Calibrate with combined loads"
     )

@@ -114,8 +114,8 @@ def math_model_summary(all_trims: AllTrimsCalibration, geometry: Geometry) -> di
         "press": dict(zip(channels, model.press, strict=True)),
         "cross_validation": dict(zip(channels, model.cross_validation_rms, strict=True)),
         "iteration": {
-            "contraction": proof.rho if proof.proved else None,
-            "proved": proof.proved,
+            "contraction": proof.rho if proof.is_proved else None,
+            "proved": proof.is_proved,
             "reach": dict(zip(model.components, proof.reach, strict=True)),
         },
         "zeros": {

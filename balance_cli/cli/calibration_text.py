@@ -51,7 +51,7 @@ def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
         yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
     yield from all_trims.screening_notes
     yield from _missing_terms(all_trims)
-    if not all_trims.loads_model.contraction().proved:
+    if not all_trims.loads_model.contraction().is_proved:
         yield "the load iteration is not proved to converge over the calibrated range; reduce refuses this model"
 
 
@@ -142,7 +142,7 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
         yield f"  {name:12s} {', '.join(_term_text(term, values['t']) for term, values in terms.items()) or 'linear'}"
     if all_trims.random_terms is not None:
         yield f"  {RANDOM_TERMS_TEXT}"
-    if proof.proved and all_trims.loads_model.is_nonlinear:
+    if proof.is_proved and all_trims.loads_model.is_nonlinear:
         yield f"  loads by iteration: every step reduces the error to {100.0 * proof.rho:.2g} % or less"
     if all_trims.non_iterative is not None:
         residuals = zip(model.components, all_trims.non_iterative.residual_percent_fs, strict=True)

@@ -19,10 +19,10 @@ A command reads its inputs, runs one step, writes the result and prints a summar
 
 The decorator adds `--json`, `-v` and `-q`. The session records all inputs for the provenance. Outputs (`save`, `stage`,
 `stage_in`) and the JSON are written beside their final paths and moved there together when the command returns without
-an exception. `session.warn` and `session.report_left_out` write to stderr and to the JSON; those on
-runs that are said within `session.gathered()` are one line for many runs. `session.status = 3` sets the exit status of
-a call that otherwise succeeded. Declare the options of a command with the types InputFile,
-OutputFile and OutputFolder of `balance_cli.cli.options`: their paths are then checked before the command starts.
+an exception. `session.warn` and `session.report_left_out` write to stderr and to the JSON; messages on runs within
+`session.collect_messages()` become one line for many runs. `session.status = 3` sets the exit status of a call that
+otherwise succeeded. Declare the options of a command with the types InputFile, OutputFile and OutputFolder of
+`balance_cli.cli.options`: their paths are then checked before the command starts.
 """
 
 from __future__ import annotations
@@ -124,9 +124,9 @@ class Session(Messages, WorkReports):
         from balance_cli.campaign.recording.run_file import open_runs, require_disjoint
 
         paths = tuple(paths)
-        with self.logged(f"{len(paths)} runs opened"):
+        with self.log_duration(f"{len(paths)} runs opened"):
             runs, skipped = open_runs(self.progress(paths, "opening", len(paths)), geometry, skip_bad)
-        with self.gathered():
+        with self.collect_messages():
             for path, reason in skipped.items():
                 self.report_skipped(str(path), reason)
             require_disjoint(runs, disjoint_from)
@@ -143,7 +143,7 @@ class Session(Messages, WorkReports):
         """Read an artefact of one of the formats in `types` and record it as an input."""
         from balance_cli.io.artefacts import load_artefact
 
-        with self.logged(f"{path} read"):
+        with self.log_duration(f"{path} read"):
             artefact = load_artefact(path, types)
         self._inputs.append((path.name, role, artefact.digest))
         return artefact
@@ -159,7 +159,7 @@ class Session(Messages, WorkReports):
         """Stage an artefact of this format for `path`, by default with the provenance of all inputs read so far."""
         from balance_cli.io.artefacts import save_artefact
 
-        with self.logged(f"{path} written"):
+        with self.log_duration(f"{path} written"):
             save_artefact(self.stage(path), format, content, provenance or self.provenance())
 
     def write_text(self, path: Path, text: str) -> None:

@@ -39,7 +39,7 @@ def require_consistent_runs(
 
     paths = {run.name: str(run.path or run.name) for run in runs}
     bad = inconsistent_runs(session, campaign_findings(geometry, runs, usual_noise), paths, skip_bad, is_harmless)
-    with session.gathered():
+    with session.collect_messages():
         for name, reason in bad.items():
             session.report_skipped(paths[name], f"{paths[name]}: {reason}")
     return tuple(run for run in runs if run.name not in bad)
@@ -63,7 +63,7 @@ def inconsistent_runs(
     session.findings = findings
     session.extra_summary["consistency"] = [finding_summary(finding) for finding in findings]
     bad: dict[str, str] = {}
-    with session.gathered():
+    with session.collect_messages():
         for finding in findings:
             if not finding.is_fault:
                 _warn_of_finding(session, finding)

@@ -57,21 +57,22 @@ def _chart_summary(chart: ControlChart) -> dict[str, Any]:
         "calibrations": chart.names,
         "significance_level": SIGNIFICANCE_LEVEL,
         "limit_p": LIMIT_P_VALUE,
-        "drifting": len(chart.drifting),
-        "scattering": len(chart.scattering),
+        "drifting": len(chart.drifting_coefficients),
+        "scattering": len(chart.scattering_coefficients),
         "out_of_control": len(chart.out_of_control),
         "coefficients": list(chart_rows(chart)),
     }
 
 
 def _chart_text(chart: ControlChart) -> Iterator[str]:
-    drifting, outside = chart.drifting, chart.out_of_control
+    drifting, scattering = chart.drifting_coefficients, chart.scattering_coefficients
+    outside = chart.out_of_control
     yield (
         f"Control chart of {len(chart.names)} calibrations, the oldest first: {len(drifting)} of "
-        f"{len(chart.coefficients)} coefficients drift, {len(chart.scattering)} differ by more than their errors, "
+        f"{len(chart.coefficients)} coefficients drift, {len(scattering)} differ by more than their errors, "
         f"{len(outside)} of the newest are beyond their limits"
     )
-    named = tuple(dict.fromkeys((*outside, *drifting, *chart.scattering)))
+    named = tuple(dict.fromkeys((*outside, *drifting, *scattering)))
     for each in named[:MOST_LINES]:
         yield f"  {_history_text(each)}"
     if len(named) > MOST_LINES:

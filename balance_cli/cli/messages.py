@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class Messages:
     """The messages of one call, printed at once and kept for its summary.
 
-    Those on runs that are said within `gathered()` are printed at its end, one line for many runs of which the same is
-    said; the summary has each of them.
+    Those on runs within `collect_messages()` are printed at its end, one line where the same is said of many runs; the
+    summary has each of them.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Messages:
         self._gathered: list[RunMessage] | None = None
 
     @contextmanager
-    def gathered(self) -> Iterator[None]:
+    def collect_messages(self) -> Iterator[None]:
         """Print what is said of runs within this context at its end, also where it ends with an error."""
         if self._gathered is not None:
             yield
@@ -50,11 +50,11 @@ class Messages:
     def warn_of_run(self, run: str, text: str) -> None:
         """As `warn`, of one run: `text` contains its name."""
         self.warnings.append(text)
-        self._tell_of_run(run, text)
+        self._report_of_run(run, text)
 
     def warn_of_runs(self, texts: Iterable[str], names: Collection[str]) -> None:
         """As `warn_of_run` for each text, by the first of the named runs that it contains; one line for many runs."""
-        with self.gathered():
+        with self.collect_messages():
             for message in messages_of_runs(texts, names):
                 self.warn_of_run(message.run, message.text)
 
@@ -84,14 +84,14 @@ class Messages:
     def report_skipped(self, file: str, reason: str) -> None:
         """Report that a run is not used although the command goes on (`--skip-bad`)."""
         self._skipped[file] = reason
-        self._tell_of_run(file, f"skipped: {reason}")
+        self._report_of_run(file, f"skipped: {reason}")
 
     def report_left_out(self, name: str, reason: str) -> None:
         """Report that a run (or channel) was read but not used, and why."""
         self._left_out[name] = reason
-        self._tell_of_run(name, f"{name} left out: {reason}")
+        self._report_of_run(name, f"{name} left out: {reason}")
 
-    def _tell_of_run(self, run: str, text: str) -> None:
+    def _report_of_run(self, run: str, text: str) -> None:
         if self._gathered is None:
             self._echo_warning(text)
         else:

@@ -216,7 +216,7 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
 
 def _rotor_runs(session: Session, records: tuple[Run, ...]) -> list[Run]:
     """Return the check and wind runs among the records. UserError where there are none."""
-    with session.gathered():
+    with session.collect_messages():
         runs = [run for run in records if _accept_run(session, run)]
     if not runs:
         raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")

@@ -51,7 +51,7 @@ def reduce_to_spectra(
     from balance_cli.reduction.spectra_result import LoadSpectra
 
     results: dict[str, RunSpectra] = {}
-    with session.gathered():
+    with session.collect_messages():
         for run in session.progress(runs, "runs", len(runs)):
             with session.skip_if_unusable(run, skip_bad):
                 results[run.name] = load_spectra(run, geometry, source, band)

@@ -56,7 +56,7 @@ def command(
         raise UserError("is the campaign itself", str(output), remedy="Give another folder, for example one in it")
     state = load_state(output)
     inventory = take_inventory(campaign, geometry, state)
-    inventory = replace(inventory, given=_given(session, model, calibration))
+    inventory = replace(inventory, given=_given_artefacts(session, model, calibration))
     for path, reason in inventory.left_out.items():
         session.report_left_out(str(path), reason)
     plan = plan_steps(inventory, output)
@@ -74,7 +74,7 @@ def command(
     _finish(session, execution, inventory)
 
 
-def _given(session: Session, model: Path | None, calibration: Path | None) -> dict[str, tuple[Path, str]]:
+def _given_artefacts(session: Session, model: Path | None, calibration: Path | None) -> dict[str, tuple[Path, str]]:
     """Return the artefacts that were made before {role: (path, digest)}."""
     from balance_cli.calibration.result import Calibration
     from balance_cli.estimation.identified_model import IdentifiedModel

@@ -60,7 +60,7 @@ def command(
     opened = session.runs(runs, rig, skip_bad)
     opened = require_consistent_runs(session, rig, opened, skip_bad, measured_anyway)
     transfer = estimate_responses(session.progress(opened, "runs", len(opened)), rig, estimator, band)
-    with session.gathered():
+    with session.collect_messages():
         _report_runs(session, transfer)
     session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
     session.finish(_summary(transfer), _text(transfer))

@@ -62,7 +62,7 @@ class TrendResult:
         return [int(index) for index in np.argsort(self.place, kind="stable")]
 
     @property
-    def repeated(self) -> list[list[int]]:
+    def repeats(self) -> list[list[int]]:
         """The groups of repeats that are large enough to tell an outlier."""
         return [group for group in self.groups if len(group) >= FEWEST_REPEATS]
 
@@ -104,7 +104,7 @@ def trend_summary(result: TrendResult) -> dict[str, Any]:
         "by": result.attribute,
         "place_unit": result.place_unit,
         "trends": [asdict(trend) for trend in result.trends],
-        "repeats": [[result.points[index].run for index in group] for group in result.repeated],
+        "repeats": [[result.points[index].run for index in group] for group in result.repeats],
         "outliers": [asdict(item) for item in result.outliers],
         "repeat_drifts": [asdict(item) for item in result.repeat_drifts],
         "redundancy_drift": None if drift is None else asdict(drift) | {"is_significant": drift.is_significant},
@@ -149,7 +149,7 @@ def _span(values: Array) -> str:
 
 
 def _outlier_text(result: TrendResult) -> Iterator[str]:
-    groups = result.repeated
+    groups = result.repeats
     if not groups:
         yield f"repeats: no {FEWEST_REPEATS} runs of the same attributes and speed; outliers are not testable"
         return

@@ -31,7 +31,7 @@ class WorkReports:
             yield
 
     @contextmanager
-    def logged(self, task: str) -> Iterator[None]:
+    def log_duration(self, task: str) -> Iterator[None]:
         """Log a step with the time it took."""
         begin = time.monotonic()
         yield

@@ -71,13 +71,13 @@ class ZeroDrift:
     contacts: ContactShare | None = None
 
     @property
-    def matters(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether a zero drifts by more than a reading of a calibration scatters, so that it is what limits means.
 
         What a contact holds is in sigma of mean loads.
         """
         if self.contacts is not None:
-            return self.contacts.left is not None and self.contacts.left.matters
+            return self.contacts.left is not None and self.contacts.left.is_significant
         return bool(np.any(self.sigma > self.static_sigma))
 
     @property
@@ -91,7 +91,7 @@ class ZeroDrift:
     def note(self) -> str:
         """One sentence, with what follows for the loads."""
         text = f"{self._subject}, which no harmonic load depends on, {self._sizes}"
-        if self.matters:
+        if self.is_significant:
             return f"{text}: a mean load is off by what they drift after its zero record; record zeros before and after"
         if self.contacts is not None:
             return f"{text}; what a contact holds is in sigma of the mean loads"
@@ -242,7 +242,7 @@ def judge_zero_drift(diagnosis: Diagnosis, drift: ZeroDrift | None) -> Diagnosis
     if drift is None:
         return diagnosis
     verdict = diagnosis.verdict
-    if drift.matters and verdict in (NOTHING_MISSING, EXPLAINED):
+    if drift.is_significant and verdict in (NOTHING_MISSING, EXPLAINED):
         verdict = PARTLY_EXPLAINED
     tests, notes = (*diagnosis.data_tests, drift.test), (*diagnosis.notes, drift.note)
     return replace(diagnosis, data_tests=tests, notes=notes, verdict=verdict)

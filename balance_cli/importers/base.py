@@ -146,10 +146,10 @@ def errors_as_damage(path: Path | None = None, place: str = "") -> Iterator[None
     except UserError:
         raise
     except Exception as error:
-        raise damaged(error).with_location(file="" if path is None else str(path), place=place) from error
+        raise damage_error(error).with_location(file="" if path is None else str(path), place=place) from error
 
 
-def damaged(reason: object) -> UserError:
+def damage_error(reason: object) -> UserError:
     """The error of a file whose content ends early or contradicts itself."""
     text = " ".join(str(reason).split())[:200]
     return UserError(f"cannot be read, it is truncated or damaged ({text})", remedy="Copy or export it again")

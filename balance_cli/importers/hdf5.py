@@ -16,7 +16,7 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
-    damaged,
+    damage_error,
     select_columns,
 )
 from balance_cli.importers.matrices import scalar_of
@@ -94,7 +94,7 @@ def _list_datasets(path: Path) -> tuple[list[_Listed], dict[str, float], str | N
             file.visititems(visit)
             return _with_own_rates(listed), scalars, attribute_text(file.attrs.get("recorded"))
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise damaged(error) from error
+        raise damage_error(error) from error
 
 
 def _with_own_rates(listed: Sequence[_Listed]) -> list[_Listed]:
@@ -176,7 +176,7 @@ def _group(path: Path, listed: _Listed) -> ChannelGroup:
                     part = dataset[start:stop] if by_columns else dataset[:, start:stop].T
                 return _values(select_columns(part, columns), listed)
         except (OSError, RuntimeError, KeyError, ValueError) as error:
-            raise damaged(error).with_location(file=str(path), place=name) from error
+            raise damage_error(error).with_location(file=str(path), place=name) from error
 
     channels = tuple(ForeignChannel(*pair) for pair in zip(listed.names, listed.units, strict=True))
     return ChannelGroup(channels, max(shape), read, listed.rate)

@@ -15,7 +15,7 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
-    damaged,
+    damage_error,
     errors_as_damage,
     impossible_size,
     require_package,
@@ -40,7 +40,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     require_package("asammdf", "MDF4", "asammdf")
     with path.open("rb") as stream:
         if stream.read(IDENTIFICATION + 4)[IDENTIFICATION:][:2] not in (b"##", b"HD"):
-            raise damaged("no header block behind the identification")
+            raise damage_error("no header block behind the identification")
     listed, recorded = _list_groups(path)
     if not listed:
         raise UserError("has no channels with samples", remedy="Give a file with channels")
@@ -130,6 +130,6 @@ def _load_rows(path: Path, index: int, positions: Sequence[int], first: int, las
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
         if len(values) != last - first:
-            raise damaged(f"{len(values)} records from {first} on, where {last - first} are declared")
+            raise damage_error(f"{len(values)} records from {first} on, where {last - first} are declared")
         column[:] = values
     return table

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from balance_cli.importers.base import Array, damaged
+from balance_cli.importers.base import Array, damage_error
 from balance_cli.importers.text_clock import seconds_of_clock
 from balance_cli.importers.text_layout import Columns, split_cells
 from balance_cli.importers.text_rows import INDEXED_ROWS, Rows
@@ -76,7 +76,7 @@ class TextTable:
                 raise self._bad_row(text, numeric, row, error) from error
         self._require_even_rows(text, row, count)
         if len(table) != count:
-            raise damaged(f"{len(table)} rows from row {self._file_row(row)} on, where {count} were expected")
+            raise damage_error(f"{len(table)} rows from row {self._file_row(row)} on, where {count} were expected")
         place = f"column `{layout.names[clock[0]]}`" if clock else ""
         return np.column_stack([seconds_of_clock(table[k], place) if k in clock else table[k] for k in wanted])
 
@@ -132,7 +132,7 @@ class TextTable:
                 fault = f"{len(cells)} cells, where the first row of data has {len(self.columns.names)}"
                 place = f"row {self._file_row(row + k)}"
                 return UserError(fault, place=place, remedy="Correct this row, or state `separator` and `decimal`")
-        return damaged("rows of different lengths")
+        return damage_error("rows of different lengths")
 
     def _file_row(self, row: int) -> int:
         return self.columns.first_row + row + 1
@@ -149,7 +149,7 @@ class TextTable:
                 if not is_missing(cell) and not _is_number(cell.replace(self.columns.decimal, ".")):
                     where = f"row {self._file_row(row + k)}, column `{self.columns.names[column]}`"
                     return UserError(f"`{cell[:40]}` is not a number", place=where, remedy="Correct or remove this row")
-        return damaged(error)
+        return damage_error(error)
 
 
 def _is_number(cell: str) -> bool:

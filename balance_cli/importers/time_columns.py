@@ -26,13 +26,13 @@ def time_columns(
     A column of times has a name or a unit that says so, and values that increase evenly as far as there are any.
     `heads` are name and unit of each column.
     """
-    time_like = [k for k in numeric if _says_time(*heads[k]) and _increases_evenly(_values(rows, k, decimal))]
+    time_like = [k for k in numeric if _is_time_column(*heads[k]) and _increases_evenly(_values(rows, k, decimal))]
     last = max(numeric, default=0)
     time_like = [k for k in time_like if k < last and k + 1 not in time_like]
     return tuple(time_like) if len(time_like) > 1 else ()
 
 
-def _says_time(name: str, unit: str) -> bool:
+def _is_time_column(name: str, unit: str) -> bool:
     if unit:
         return is_unit(unit) and parse_unit(unit).dimension == "s"
     return bool(TIME_NAME.match(name))

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, damaged
+from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, damage_error
 from balance_cli.importers.uff_numbers import TextNumbers, binary_numbers
 from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
@@ -85,7 +85,7 @@ def _datasets(file: BinaryIO, size: int) -> Iterator[tuple[int, str, list[str], 
     while (line := file.readline(LONGEST_LINE)) != b"":
         if line.strip() != DELIMITER:
             if line.strip(b"\r\n \t\0\x1a"):
-                raise damaged(f"no dataset begins at byte {file.tell() - len(line)}")
+                raise damage_error(f"no dataset begins at byte {file.tell() - len(line)}")
             continue
         kind_line = _next_line(file)
         if not kind_line:
@@ -115,7 +115,7 @@ def _next_line(file: BinaryIO) -> str:
 def _header_line(file: BinaryIO, number: int) -> str:
     line = file.readline(LONGEST_LINE)
     if not line:
-        raise damaged(f"dataset {number} ends within its header")
+        raise damage_error(f"dataset {number} ends within its header")
     return _text(line)
 
 
@@ -140,13 +140,13 @@ def _text_place(file: BinaryIO) -> Layout58:
         if line.strip() == DELIMITER:
             return Layout58("", offset, end - offset)
         end = file.tell()
-    raise damaged("the last dataset has no end")
+    raise damage_error("the last dataset has no end")
 
 
 def _binary_place(file: BinaryIO, words: list[str], header: list[str], size: int) -> Layout58:
     """Where binary data are; the count of bytes follows from the data type, because some writers misstate it."""
     if len(words) < 5 or words[1] not in ("1", "2"):
-        raise damaged(f"the line `{' '.join(words)}` of a binary dataset")
+        raise damage_error(f"the line `{' '.join(words)}` of a binary dataset")
     if words[2] != "2":
         raise UserError("holds numbers that are not IEEE 754", remedy="Export them in IEEE format, or as text")
     offset, order = file.tell(), "<" if words[1] == "1" else ">"
@@ -155,7 +155,7 @@ def _binary_place(file: BinaryIO, words: list[str], header: list[str], size: int
     for count in dict.fromkeys((needed, stated)):
         if count >= needed and offset + count <= size and _ends_at(file, offset + count):
             return Layout58(order, offset, needed)
-    raise damaged(f"binary data of {needed} bytes from byte {offset} do not end with a delimiter")
+    raise damage_error(f"binary data of {needed} bytes from byte {offset} do not end with a delimiter")
 
 
 def _ends_at(file: BinaryIO, end: int) -> bool:
@@ -200,7 +200,7 @@ def _data_form(header: list[str]) -> DataForm:
         function = int(header[5][:5])
         return DataForm(function, int(fields[0]), int(fields[1]), int(fields[2]) == 1, float(fields[3]), fields[4])
     except (ValueError, IndexError) as error:
-        raise damaged(f"records 6 and 7 `{header[5].strip()[:40]}`, `{header[6].strip()[:60]}`") from error
+        raise damage_error(f"records 6 and 7 `{header[5].strip()[:40]}`, `{header[6].strip()[:60]}`") from error
 
 
 def _group(path: Path, header: list[str], where: Layout58, number: int) -> tuple[ChannelGroup, list[str]]:
@@ -224,7 +224,7 @@ def _rate(form: DataForm, number: int) -> tuple[float, str]:
     try:
         return plausible_rate(form.increment)
     except (ValueError, ZeroDivisionError) as error:
-        raise damaged(f"dataset {number} has the time step {form.increment}") from error
+        raise damage_error(f"dataset {number} has the time step {form.increment}") from error
 
 
 def _unusable(form: DataForm, header: list[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from balance_cli.importers.base import Array, damaged
+from balance_cli.importers.base import Array, damage_error
 
 SINGLE_WIDTH, DOUBLE_WIDTH = 13, 20
 """Characters of a number in text: E13.5 and E20.12."""
@@ -59,7 +59,7 @@ class BinaryNumbers:
         size = self._type.itemsize
         values = np.fromfile(self._path, self._type, stop - start, offset=self._offset + start * size)
         if len(values) < stop - start:
-            raise damaged("binary data end early")
+            raise damage_error("binary data end early")
         return values.astype(np.float64)
 
 
@@ -117,8 +117,8 @@ class TextNumbers:
             lines = [line.rstrip(b"\r\n ") for line in text.replace(b"D", b"E").splitlines()]
             words = [line[k : k + self._width] for line in lines for k in range(0, len(line), self._width)]
         if len(words) != count:
-            raise damaged(f"{len(words)} numbers where the header announces {count}")
+            raise damage_error(f"{len(words)} numbers where the header announces {count}")
         try:
             return np.array(words, dtype="S32").astype(np.float64)
         except ValueError as error:
-            raise damaged(error) from error
+            raise damage_error(error) from error

@@ -18,7 +18,7 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
-    damaged,
+    damage_error,
     select_columns,
 )
 from balance_cli.io.errors import UserError
@@ -48,12 +48,12 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         raise UserError(fault, remedy="Export it as PCM of 8 to 32 bits or as floating point")
     samples = size // frame
     if samples < 2:
-        raise damaged("no samples")
+        raise damage_error("no samples")
 
     def read(columns: Sequence[int], start: int, stop: int) -> Array:
         raw = np.fromfile(path, np.uint8, (stop - start) * frame, offset=offset + start * frame)
         if len(raw) < (stop - start) * frame:
-            raise damaged("samples end early").with_location(file=str(path))
+            raise damage_error("samples end early").with_location(file=str(path))
         return select_columns(_values(raw, order, code, bits).reshape(-1, count), columns)
 
     channels = tuple(ForeignChannel(f"channel {k + 1}", "1") for k in range(count))
@@ -81,7 +81,7 @@ def _chunks(path: Path) -> tuple[str, bytes, int, int]:
             else:
                 file.seek(size, 1)
             file.seek(size % 2, 1)
-    raise damaged("no format and data chunks")
+    raise damage_error("no format and data chunks")
 
 
 def _values(raw: NDArray[np.uint8], order: str, code: int, bits: int) -> Array:

@@ -28,7 +28,7 @@ def plausible_rate(step: str) -> tuple[float, str]:
     rate = 1.0 / value
     half_unit = STEP_MARGIN * _half_unit(step) / value
     low, high = rate * (1.0 - half_unit), rate * (1.0 + half_unit)
-    integer_rate = _simplest_whole(low, high) if half_unit < LARGEST_WIDTH else None
+    integer_rate = _shortest_integer(low, high) if half_unit < LARGEST_WIDTH else None
     if integer_rate is None or integer_rate == rate:
         return whole_rate(rate), ""
     return float(integer_rate), f"a step of {step} s is taken as {integer_rate} Hz, not {rate:.7g} Hz"
@@ -46,7 +46,7 @@ def _half_unit(step: str) -> float:
     return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
 
 
-def _simplest_whole(low: float, high: float) -> int | None:
+def _shortest_integer(low: float, high: float) -> int | None:
     """The whole number from low to high with the most trailing zeros; of several a multiple of a high power of two."""
     first, last = math.ceil(low), math.floor(high)
     if last < first:

@@ -69,7 +69,7 @@ def confused_pairs(
     is not listed. `further`: runs beyond the hall, named by what they are.
     """
     projected, positions = project(total, model), tested_positions(model)
-    alike = sorted(_alike(projected, model, positions), key=lambda item: (-round(item[2], 6), item[0], item[1]))
+    alike = sorted(_similar_pairs(projected, model, positions), key=lambda item: (-round(item[2], 6), item[0], item[1]))
     names = [tuple(model.candidates[k].effect.name for k in item[:2]) for item in alike]
     leading = [item for k, item in enumerate(alike) if names[k] not in names[:k]][:MOST_PAIRS]
     with_runs, with_further = (
@@ -114,7 +114,7 @@ def _pair(
     return ConfusedPair(first, second, places, cosine, name, least)
 
 
-def _alike(
+def _similar_pairs(
     projected: ProjectedInformation, model: ExtendedModel, positions: Sequence[Index]
 ) -> Iterator[tuple[int, int, float]]:
     """Pairs of candidates whose traces have at least one direction in common."""

@@ -130,13 +130,13 @@ def _detectable_effect(
         share=shares[-1],
         shares=shares,
         missing=missing,
-        shown_by=_run_that_shows(next(item for item in rows if not np.isfinite(item.size)), model, beyond)
+        shown_by=_revealing_measurement(next(item for item in rows if not np.isfinite(item.size)), model, beyond)
         if missing
         else "",
     )
 
 
-def _run_that_shows(item: SmallestSize, model: ExtendedModel, beyond: Sequence[tuple[str, Array]]) -> str:
+def _revealing_measurement(item: SmallestSize, model: ExtendedModel, beyond: Sequence[tuple[str, Array]]) -> str:
     """The measurement that would show an effect which the sweeps of a plan do not.
 
     Of the runs beyond the hall (name, diagonal (t,) of V) it is the one with the most information on it.

@@ -202,7 +202,7 @@ def _solve_loads(usable: _UsableChannels, change: Array) -> Array:
     """Loads (1, k) for the change (c,) of the readings; raises UserError where convergence is not proved."""
     model, rows = usable.model, usable.rows
     proof = model.contraction(rows)
-    if not proof.proved:
+    if not proof.is_proved:
         fault = f"the iteration for the mean loads is not proved to converge{usable.left_out_note}"
         remedy = "Calibrate with --terms linear or over smaller loads, repair the channels, or leave the run out"
         raise UserError(fault, usable.run, f"mean of {', '.join(model.components)}", f"{remedy} with --skip-bad")

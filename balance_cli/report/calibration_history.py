@@ -107,7 +107,7 @@ def verdict(chart: ControlChart, since: Mapping[tuple[str, str], str]) -> str:
     ranked = _rank(chart)[: len(chart.alarms)]
     named = "; ".join(_alarm_text(chart, each, since[each.key]) for each in ranked[:NAMED])
     more = f"; and {len(ranked) - NAMED} more" if len(ranked) > NAMED else ""
-    significant = bool(chart.drifting or chart.scattering)
+    significant = bool(chart.drifting_coefficients or chart.scattering_coefficients)
     start = "Not in control" if significant else "To be watched"
     by_chance = "" if significant else _chance_text(tested)
     return f"{start}: {len(ranked)} of {of_all}: {named}{more}.{by_chance}{untested}"
@@ -115,9 +115,9 @@ def verdict(chart: ControlChart, since: Mapping[tuple[str, str], str]) -> str:
 
 def _alarm_text(chart: ControlChart, each: CoefficientHistory, since: str) -> str:
     words = []
-    if each in chart.drifting:
+    if each in chart.drifting_coefficients:
         words.append(f"drifts by {_size_text(each, each.drift)} a calibration (p {each.drift_p:.2g})")
-    elif each in chart.scattering:
+    elif each in chart.scattering_coefficients:
         words.append(f"differs by more than its errors (p {each.scatter_p:.2g})")
     if each.is_out_of_control:
         words.append(f"newest {_size_text(each, each.values[-1] - each.mean)} from the mean, beyond its limits")

@@ -71,13 +71,13 @@ def eigenfrequencies(model: IdentifiedModel, speeds: Array) -> Array:
     shape = first.shape
     for k, speed in enumerate(speeds):
         now = modes(system, float(speed))
-        order = _follow(shape, now.shape)
+        order = _match_modes(shape, now.shape)
         result[k] = [now.frequency[i] if i is not None else np.nan for i in order]
         shape = np.array([now.shape[i] if i is not None else shape[m] for m, i in enumerate(order)])
     return result
 
 
-def _follow(before: NDArray[np.complex128], after: NDArray[np.complex128]) -> list[int | None]:
+def _match_modes(before: NDArray[np.complex128], after: NDArray[np.complex128]) -> list[int | None]:
     """The mode of `after` that each mode of `before` has become, by their shapes."""
     from scipy.optimize import linear_sum_assignment
 

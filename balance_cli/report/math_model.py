@@ -70,7 +70,7 @@ def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> 
         yield Paragraph(RANDOM_TERMS_TEXT)
     proof = all_trims.loads_model.contraction()
     yield from _math_model_warnings(all_trims, proof)
-    if proof.proved:
+    if proof.is_proved:
         yield Paragraph(_iteration_text(all_trims, proof, component_units(source.content.geometry)))
     if all_trims.non_iterative is not None:
         yield Paragraph(_non_iterative_text(all_trims.non_iterative))
@@ -178,7 +178,7 @@ def _math_model_warnings(all_trims: AllTrimsCalibration, proof: Contraction) -> 
         yield WarningText(f"{note}.")
     for pair in all_trims.swapped_channels:
         yield WarningText(f"{pair} read each other's loads in all runs: their cables seem to be swapped.")
-    if not proof.proved:
+    if not proof.is_proved:
         yield WarningText(
             "The load iteration is not proved to converge over the calibrated range: no loads are computed with this "
             "model."

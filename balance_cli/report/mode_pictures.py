@@ -79,7 +79,7 @@ def shape_picture(source: Source[IdentifiedModel]) -> Picture | None:
 
 
 def _mode_svg(title: str, drawing: RigDrawing, shape: ComplexArray) -> str:
-    places = drawing.everything
+    places = drawing.all_points
     extent = float(np.ptp(places, axis=0).max()) or 1.0
     largest = float(np.abs(shape).max()) or 1.0
     scaled = shape * (LARGEST_MOTION * extent / largest)

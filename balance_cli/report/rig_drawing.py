@@ -45,7 +45,7 @@ class RigDrawing:
         return tuple(texts)
 
     @property
-    def everything(self) -> Array:
+    def all_points(self) -> Array:
         """All points (p + c, 3)."""
         return np.concatenate([self.points, self.ground])
 
@@ -87,7 +87,7 @@ def _outline(places: Array) -> Index:
     def chain(indices: list[int]) -> list[int]:
         hull: list[int] = []
         for i in indices:
-            while len(hull) > 1 and _turn(places[hull[-2]], places[hull[-1]], places[i]) <= 0:
+            while len(hull) > 1 and _orientation(places[hull[-2]], places[hull[-1]], places[i]) <= 0:
                 hull.pop()
             hull.append(i)
         return hull[:-1]
@@ -95,14 +95,14 @@ def _outline(places: Array) -> Index:
     return np.array(chain(order) + chain(order[::-1]), np.intp)
 
 
-def _turn(a: Array, b: Array, c: Array) -> float:
+def _orientation(a: Array, b: Array, c: Array) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def rig_picture(geometry: Geometry) -> Picture:
     """Return the picture of the rig at rest, with the names of its cells and the rig's axes."""
     drawing = draw_rig(geometry)
-    flat = drawing.everything @ PROJECTION.T
+    flat = drawing.all_points @ PROJECTION.T
     low = flat.min(axis=0)
     scale = (RIG_SIZE - 2 * RIG_MARGIN) / max(float(np.ptp(flat, axis=0).max()), 1e-12)
     places = (flat - low) * scale + RIG_MARGIN

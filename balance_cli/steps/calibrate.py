@@ -167,7 +167,7 @@ def _stack_rows(task: TrimTask) -> TrimRows:
     used = np.concatenate([each.used for each in task.rows])
     all_loads = np.vstack([each.loads for each in task.rows])
     components = load_components(task.geometry)
-    carried, uncarried = components.carried(all_loads), components.uncarried(all_loads)
+    carried, uncarried = components.from_hub_loads(all_loads), components.remaining_hub_loads(all_loads)
     channels = np.vstack([read_channels(each, task.channel_names) for each in task.runs])
     block = attitude_segments(run, gravity_of_runs(task.runs))
     known = [each.load_series for each in task.rows if each.load_series is not None]

@@ -125,4 +125,4 @@ def _has_uncarried_loads(run: Run, components: LoadComponents) -> bool:
     """Whether a load was applied that the balance does not carry."""
     loads = run.read().loads
     assert loads is not None
-    return bool(components.uncarried(loads).shape[1])
+    return bool(components.remaining_hub_loads(loads).shape[1])

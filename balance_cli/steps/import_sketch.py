@@ -68,7 +68,7 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
     rest = [channel for channel in rest if channel is not tachometer]
     loads, rest = _guess_loads(rest)
-    lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_about(files)]
+    lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
     if any(_kind(file.path) != "static" for file in files):
         lines += _rate_lines(first, time)
     lines += ["channels:", *_channel_lines(rest, geometry)]
@@ -157,7 +157,7 @@ def _quoted(text: str) -> str:
     return text if re.fullmatch(r"[A-Za-z][\w./+-]*( [\w./+-]+)*", text) else json.dumps(text, ensure_ascii=False)
 
 
-def _about(files: Sequence[ForeignFile]) -> Iterator[str]:
+def _file_comments(files: Sequence[ForeignFile]) -> Iterator[str]:
     for file in files:
         count = sum(len(group.channels) for group in file.groups)
         yield f"# {file.path.name}: {file.format}, {count} channels"

@@ -38,7 +38,7 @@ def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bo
         is_zero = np.isin(np.arange(n), np.unique(group, return_index=True)[1])
     else:
         is_zero = np.array([kind == TARE for kind in table.labels.get("point", ("",) * n)])
-    loads = None if table.hub_loads is None else load_components(calibration.geometry).carried(table.hub_loads)
+    loads = None if table.hub_loads is None else load_components(calibration.geometry).from_hub_loads(table.hub_loads)
     return PointReadings(
         run=table.path.stem,
         channel_names=table.channel_names,

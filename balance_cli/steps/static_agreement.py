@@ -64,7 +64,7 @@ class StaticComparison:
         return np.abs(self.C0 - self.response) > LARGEST_SIGMAS * self.sigma + self.slack
 
     @property
-    def apart(self) -> Mask:
+    def differs(self) -> Mask:
         """Where they differ beyond chance and by a share of the range that matters."""
         return self.significant & (np.abs(self.C0 - self.response) > LARGEST_SHARE * self.full + self.slack)
 
@@ -80,10 +80,10 @@ class StaticComparison:
             return np.where(self.response == 0.0, np.inf, self.C0 / self.response)
 
     @property
-    def gross(self) -> Mask:
+    def differs_grossly(self) -> Mask:
         """Where main elements differ by more than any effect explains."""
         within = (self.factor >= 1.0 / GROSS_FACTOR) & (self.factor <= GROSS_FACTOR)
-        return self.apart & self.main & ~within
+        return self.differs & self.main & ~within
 
     @property
     def load_factors(self) -> Array:
@@ -176,8 +176,8 @@ def _compare(
 
 def _finding(comparison: StaticComparison, is_nonlinear: bool) -> ConsistencyFinding | None:
     """Return the finding of a comparison, None where it is within its limits."""
-    is_gross = bool(comparison.gross.any())
-    differing = comparison.gross if is_gross else comparison.apart
+    is_gross = bool(comparison.differs_grossly.any())
+    differing = comparison.differs_grossly if is_gross else comparison.differs
     if is_nonlinear and not is_gross:
         return None
     if not differing.any():

@@ -182,7 +182,7 @@ def without_temperature(run: Run, terms: TemperatureTerms, geometry: Geometry) -
         return run
     block = run.read()
     assert block.loads is not None
-    loads = load_components(geometry).carried(np.asarray(block.loads, float))
+    loads = load_components(geometry).from_hub_loads(np.asarray(block.loads, float))
     added = terms.readings(temperature, loads)
     channels = np.array(block.channels, float)
     for column, name in enumerate(terms.channel_names):

@@ -54,7 +54,7 @@ class TrimTask:
 
 def trim_tasks(rows: Sequence[LoadPointRows], geometry: Geometry, components: LoadComponents) -> dict[str, TrimTask]:
     """One task for each trim label, in the order of the runs."""
-    loads = [components.carried(each.loads[each.used]) for each in rows]
+    loads = [components.from_hub_loads(each.loads[each.used]) for each in rows]
     calibrated_range = np.asarray(np.max(np.abs(np.vstack(loads)), axis=0, initial=0.0))
     tasks = {}
     for label in dict.fromkeys(each.run.trim or "" for each in rows):

@@ -109,7 +109,7 @@ def test_the_covariance_of_loads_is_that_of_the_tangent(model):
 
 def test_without_curved_terms_nothing_is_iterated():
     proof = contraction(np.zeros((6, 0)), (), 6)
-    assert proof.rho == 0.0 and proof.proved
+    assert proof.rho == 0.0 and proof.is_proved
 
 
 @pytest.mark.parametrize("size", [0.05, 0.15, 0.3])
@@ -121,7 +121,7 @@ def test_every_step_shrinks_the_error_by_the_bound_at_least(size):
     for _ in range(30):
         nonlinear_matrix = size * rng.uniform(-1.0, 1.0, (2, len(terms)))
         proof = contraction(nonlinear_matrix, terms, 2)
-        if not proof.proved:
+        if not proof.is_proved:
             continue
         x = rng.uniform(-EXTRAPOLATION_MARGIN, EXTRAPOLATION_MARGIN, (200, 2))
         straight = x + term_values(terms, x) @ nonlinear_matrix.T
@@ -170,7 +170,7 @@ def test_nothing_is_proved_where_the_iteration_diverges():
     found, done = iterate_loads(x + term_values(terms, x) @ nonlinear_matrix.T, nonlinear_matrix, terms)
     assert not done.any() or abs(found[0, 0] - 1.0) > 0.1
     proof = contraction(nonlinear_matrix, terms, 1)
-    assert not proof.proved and proof.rho == float("inf")
+    assert not proof.is_proved and proof.rho == float("inf")
 
 
 def test_the_proof_ends_before_the_slope_reaches_one():
@@ -180,13 +180,13 @@ def test_the_proof_ends_before_the_slope_reaches_one():
     assert proof.rho == pytest.approx(0.2 * proof.reach[0], rel=1e-6)
     # The first error, b 1.1^2, widens the reach by as much.
     assert proof.reach[0] == pytest.approx(EXTRAPOLATION_MARGIN + 0.1 * EXTRAPOLATION_MARGIN**2, rel=1e-6)
-    assert contraction(np.array([[0.3]]), terms, 1).proved
-    assert not contraction(np.array([[0.45]]), terms, 1).proved
+    assert contraction(np.array([[0.3]]), terms, 1).is_proved
+    assert not contraction(np.array([[0.45]]), terms, 1).is_proved
 
 
 def test_the_proof_for_the_fitted_model(model):
     proof = model.contraction()
-    assert proof.proved and np.all(proof.reach >= EXTRAPOLATION_MARGIN) and proof.rho > 0.01
+    assert proof.is_proved and np.all(proof.reach >= EXTRAPOLATION_MARGIN) and proof.rho > 0.01
 
 
 # ---- noise -----------------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def chart(gains, first_seed=0):
 def test_an_unchanged_balance_neither_drifts_nor_leaves_its_limits():
     """Twenty charts of five: 0.01 of them may drift, and 0.27 % of 9 coefficients in each be out of limits."""
     charts = [chart([1.0] * 5, 10 * i) for i in range(20)]
-    assert sum(len(each.drifting) for each in charts) <= 1
+    assert sum(len(each.drifting_coefficients) for each in charts) <= 1
     assert sum(len(each.out_of_control) for each in charts) <= 4
 
 
@@ -42,9 +42,9 @@ def test_a_drift_of_a_gain_is_found_with_its_slope():
     """1 per mille a calibration: the slope is that of the coefficient, within four standard errors."""
     found = chart([1.0 + 1e-3 * i for i in range(6)])
     first = found.coefficients[0]
-    assert (first.channel, first.term) == ("B0", "N1") and first in found.drifting
+    assert (first.channel, first.term) == ("B0", "N1") and first in found.drifting_coefficients
     assert first.drift == pytest.approx(1e-3 * first.mean, abs=4 * first.drift_sigma)
-    assert {each.channel for each in found.drifting} == {"B0"}
+    assert {each.channel for each in found.drifting_coefficients} == {"B0"}
 
 
 def test_a_jump_of_the_newest_is_beyond_the_limits_of_the_earlier():
@@ -58,7 +58,7 @@ def test_scatter_beyond_the_errors_widens_the_limits():
     found = chart([1.0, 1.012, 0.991, 1.008, 0.993, 1.01])
     own = next(each for each in found.coefficients if (each.channel, each.term) == ("B0", "N1"))
     assert own.scatter_p < 1e-6
-    assert own not in found.drifting and not own.is_out_of_control
+    assert own not in found.drifting_coefficients and not own.is_out_of_control
 
 
 def test_two_calibrations_tell_no_drift():

@@ -308,7 +308,7 @@ def test_a_stated_calibration_is_the_straight_part_at_zero_load_and_the_model():
     np.testing.assert_allclose(trim.T0 @ trim.C0, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(trim.loads(MODEL.zeros.mean(axis=0)), 0.0, atol=1e-9)
     assert not cal.errors_known and np.isnan(trim.C0_sigma).all() and calibration().errors_known
-    assert cal.all_trims.model.is_nonlinear and cal.all_trims.model.contraction().proved
+    assert cal.all_trims.model.is_nonlinear and cal.all_trims.model.contraction().is_proved
 
 
 @pytest.mark.parametrize("curved", [True, False])

@@ -147,7 +147,7 @@ def test_products_of_third_degree_are_in_the_intervals_where_pairs_of_loads_do_n
     cubes = [drawn_points(lambda s: s + 0.03 * s**3, hanging_series(), seed) for seed in range(3)]
     found = [calibrate_all_trims(points, [run]) for points, run in cubes]
     assert np.mean([coverage(each.checks[0]) for each in found]) > 0.92
-    said = found[0].untested_products.described(np.full(4, 0.5))
+    said = found[0].untested_products.describe(np.full(4, 0.5))
     assert "products of third degree" in said
     # Cubes of single loads leave nothing in the residuals of pairs: the intervals stay those of noise.
     points, run = drawn_points(lambda s: s, hanging_series(), 5)

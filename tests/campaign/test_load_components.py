@@ -52,9 +52,9 @@ def test_moment_balance_format_is_moments_about_stations() -> None:
     stations = [{"name": f"M{i}", "moment": [0, 1, 0], "position": [x, 0, 0]} for i, x in ((1, 0.1), (2, -0.1))]
     components = load_components(geometry(components=[*stations, "Fx"]))
     hub = np.array([[0.0, 0, 50.0, 0, 3.0, 0]])
-    assert components.carried(hub)[0] == pytest.approx([3.0 + 0.1 * 50.0, 3.0 - 0.1 * 50.0, 0.0])
-    assert components.uncarried(np.vstack([0 * hub, hub])).shape[1] == 0
-    assert components.uncarried(np.array([[0.0] * 6, [0, 7.0, 0, 0, 0, 0]]))[:, 0] == pytest.approx([0, 7.0])
+    assert components.from_hub_loads(hub)[0] == pytest.approx([3.0 + 0.1 * 50.0, 3.0 - 0.1 * 50.0, 0.0])
+    assert components.remaining_hub_loads(np.vstack([0 * hub, hub])).shape[1] == 0
+    assert components.remaining_hub_loads(np.array([[0.0] * 6, [0, 7.0, 0, 0, 0, 0]]))[:, 0] == pytest.approx([0, 7.0])
 
 
 @pytest.mark.parametrize(

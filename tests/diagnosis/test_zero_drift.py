@@ -152,11 +152,11 @@ def test_forces_that_a_contact_holds_are_not_named_a_drift_of_zeros(runs):
     drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
     assert drift.note.startswith("zeros, which")
     drift = replace(drift, static_sigma=drift.sigma / 2.0)
-    assert drift.matters
+    assert drift.is_significant
     held = share_with_contacts(drift, system_with_contact("z1"), spectra, SETTINGS)
     assert held.contacts.places == ("z1",)
     assert held.contacts.left is None
-    assert not held.matters
+    assert not held.is_significant
     assert "what the contact at z1 holds at rest" in held.note
     assert "what the contact at z1 holds at rest" in held.test.finding
     assert judge_zero_drift(replace(diagnosis(), verdict=EXPLAINED), held).verdict == EXPLAINED

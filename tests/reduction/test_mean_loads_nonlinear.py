@@ -165,7 +165,7 @@ def test_a_model_whose_iteration_is_not_proved_is_refused():
     model = calibration().all_trims.model
     curved = np.arange(len(model.terms))[:, None] >= 6
     wild = with_model(calibration(), coefficients=np.where(curved, 60.0, 1.0) * model.coefficients)
-    assert not wild.all_trims.model.contraction().proved
+    assert not wild.all_trims.model.contraction().is_proved
     with pytest.raises(UserError, match=r"w, mean of Fx, Fy, Fz, Mx, My, Mz: the iteration .* not proved to converge"):
         reduced(record("w", LOADS), wild, zero())
 
@@ -209,7 +209,7 @@ def test_the_proof_holds_where_a_load_has_next_to_no_part_in_the_slowest_directi
     nonlinear_matrix = np.zeros((6, 3))
     nonlinear_matrix[0, :], nonlinear_matrix[4, 0], nonlinear_matrix[2, 2] = 0.02, 0.05, 1e-6
     proof = contraction(nonlinear_matrix, terms, 6)
-    assert proof.proved and np.all(proof.reach < 1.3)
+    assert proof.is_proved and np.all(proof.reach < 1.3)
     rng = np.random.default_rng(0)
     # What was proved: no error after one step is larger than M times the error before.
     M = np.abs(nonlinear_matrix) @ np.max(np.abs(term_derivatives(terms, proof.reach[None])), axis=0)

@@ -239,7 +239,7 @@ def test_an_iteration_that_is_not_proved_is_warned_of(spoiled):
     coefficients = model.coefficients.copy()
     coefficients[len(model.components) :] *= 1e4
     all_trims = replace(spoiled.all_trims, model=replace(model, coefficients=coefficients))
-    assert not all_trims.model.contraction().proved
+    assert not all_trims.model.contraction().is_proved
     made = section(given(replace(spoiled, all_trims=all_trims)))
     assert "not proved to converge" in texts(made, "warn")
     assert "Loads beyond" not in texts(made, "text")

@@ -41,13 +41,13 @@ class LoadComponents:
         """Whether the components are some of the hub loads, under their own names."""
         return set(self.names) <= set(COMPONENTS)
 
-    def carried(self, hub_loads: Array) -> Array:
+    def from_hub_loads(self, hub_loads: Array) -> Array:
         """Loads (m, k) of the components, for hub loads (m, 6)."""
         return np.asarray(hub_loads @ self.from_hub)
 
-    def uncarried(self, hub_loads: Array) -> Array:
+    def remaining_hub_loads(self, hub_loads: Array) -> Array:
         """Hub loads (m, o) that no component describes: those columns that vary."""
-        rest = hub_loads - self.carried(hub_loads) @ self.to_hub
+        rest = hub_loads - self.from_hub_loads(hub_loads) @ self.to_hub
         largest = np.max(np.abs(hub_loads), axis=0, initial=0.0)
         rest = np.where(np.abs(rest) > 1e-9 * max(float(largest.max()), np.finfo(float).tiny), rest, 0.0)
         return np.asarray(rest[:, np.ptp(rest, axis=0) > 0])

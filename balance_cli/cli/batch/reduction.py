@@ -18,7 +18,15 @@ from balance_cli.cli.batch.journal import Journal, journal_path
 from balance_cli.cli.batch.kept_surveys import KeptSurveys
 from balance_cli.cli.batch.options import BatchOptions
 from balance_cli.cli.batch.ordered import WorkerPool, worker_pool
-from balance_cli.cli.batch.work import ROTOR_KINDS, Item, RunResult, RunSurvey, pickled, reduce_file, survey_run
+from balance_cli.cli.batch.work import (
+    ROTOR_KINDS,
+    Item,
+    RunResult,
+    RunSurvey,
+    pickle_reduction,
+    reduce_file,
+    survey_run,
+)
 from balance_cli.cli.common import Session
 from balance_cli.cli.consistency import inconsistent_runs
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
@@ -67,10 +75,10 @@ class BatchReduction:
         Raises UserError where no run is left, and for the first bad run unless bad runs are skipped.
         """
         with worker_pool(batch_workers(self.options.jobs, self.options.executor)) as pool:
-            with self.session.gathered():
+            with self.session.collect_messages():
                 self._survey(pool, reduction, paths)
             reduction = self._complete(reduction, zero)
-            with self.session.gathered():
+            with self.session.collect_messages():
                 self._reduce_runs(pool, reduction, output)
                 self._finish(reduction)
         if not self.loads:
@@ -83,7 +91,7 @@ class BatchReduction:
         """Learn the kind of every run, and require names to be unique."""
         inputs = [(item.role, item.digest) for item in self.session.provenance().inputs]
         stored = KeptSurveys(self.options.survey, [inputs, reduction.method.rotor])
-        known, data = stored.find_all(paths), pickled(reduction)
+        known, data = stored.find_all(paths), pickle_reduction(reduction)
         results = pool.results(survey_run, (Item(path, data) for path in paths if path not in known))
         by_name: dict[str, Path] = {}
         for path in self.session.progress(paths, "reading", len(paths)):
@@ -143,7 +151,7 @@ class BatchReduction:
     def _reduce_runs(self, pool: WorkerPool, reduction: Reduction, output: Path) -> None:
         selection = [path for path in self._shard() if self._may_have_history(path, reduction)]
         with self._journal(reduction, output, len(selection)) as journal:
-            data = pickled(reduction)
+            data = pickle_reduction(reduction)
             done = {path for path in selection if self._is_done(path, journal, reduction)}
             if done:
                 self.session.echo(f"{len(done)} of {len(selection)} runs were reduced before an interruption")

@@ -95,7 +95,7 @@ def reduce_file(item: Item) -> RunResult:
     return RunResult(run.name, run.kind, run.digest, *gaps, loads, rows, run.level, fault, noise)
 
 
-def pickled(reduction: Reduction) -> bytes:
+def pickle_reduction(reduction: Reduction) -> bytes:
     """Return the reduction as it is sent to the workers."""
     return pickle.dumps(reduction, protocol=pickle.HIGHEST_PROTOCOL)
 

@@ -94,7 +94,7 @@ class Execution:
                         break
                 if running and (len(running) >= self.jobs or not any(self._ready(running))):
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        self._settle(running.pop(future), *future.result())
+                        self._record_outcome(running.pop(future), *future.result())
         return {step.name: self.outcomes[step.name] for step in self.plan.steps}
 
     def preview(self) -> dict[str, Outcome]:
@@ -143,7 +143,7 @@ class Execution:
             self._record(Outcome(step.name, CURRENT, warnings=remembered.warnings))
         return True
 
-    def _settle(self, step: Step, status: int, text: str, seconds: float) -> None:
+    def _record_outcome(self, step: Step, status: int, text: str, seconds: float) -> None:
         """Record the end of a command, and remember it."""
         (self.results / LOGS / f"{step.name}.txt").write_text(text, encoding="utf-8")
         warnings = sum(line.startswith(WARNING_PREFIX) for line in text.splitlines())

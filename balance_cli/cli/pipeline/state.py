@@ -59,7 +59,7 @@ class RememberedOutput:
         """Return what identifies a file."""
         return cls(FileStamp.of(path), _sha256(path))
 
-    def is_that_of(self, path: Path) -> bool:
+    def matches_file(self, path: Path) -> bool:
         """Return whether the file is as it was left."""
         if not path.is_file():
             return False
@@ -97,7 +97,7 @@ class State:
         step = self.steps.get(name)
         if step is None or step.signature != signature:
             return False
-        return all(output.is_that_of(results / path) for path, output in step.outputs.items())
+        return all(output.matches_file(results / path) for path, output in step.outputs.items())
 
     def save(self, results: Path) -> None:
         """Write the state into the results folder, whole or not at all."""

@@ -32,7 +32,7 @@ class WatchedFolder:
         self._seen = {item: self._seen.get(item, now) for item in stamps.items()}
         return tuple(sorted(ready, key=lambda path: (stamps[path].modified, path.name)))
 
-    def unsettled(self) -> bool:
+    def has_changing_files(self) -> bool:
         """Return whether the last poll saw a file that is new or changed and not yet done."""
         return any(self._is_new(path, stamp) for path, stamp in self._last.items())
 

@@ -55,7 +55,7 @@ class Watch:
         while True:
             if self._take(self.folder.poll()):
                 last_new = time.monotonic()
-            if once and not self.folder.unsettled():
+            if once and not self.folder.has_changing_files():
                 return
             if idle is not None and time.monotonic() - last_new > idle:
                 return

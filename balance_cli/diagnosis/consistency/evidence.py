@@ -209,7 +209,7 @@ def _reference(run: Evidence, sweeps: Sequence[Evidence], measured: dict[str, Co
         return np.asarray(total / np.where(count > 0, count, np.nan)[:, None, :])
 
 
-def alike_channels(run: Evidence) -> Bools:
+def correlated_channels(run: Evidence) -> Bools:
     """Return whether (c, c) channel i reads what is predicted for channel j, up to a factor, and the reverse.
 
     Predictions are those by the geometry, by other runs, and the other channel of a cell.

@@ -1,4 +1,4 @@
-"""Which channels may have been exchanged: those alike, unless the geometry or their partners contradict it."""
+"""Which channels may have been exchanged: proportional ones, unless geometry or their partners contradict it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.consistency.evidence import Evidence, alike_channels
+from balance_cli.diagnosis.consistency.evidence import Evidence, correlated_channels
 from balance_cli.diagnosis.consistency.residuals import REMAINING_SHARE, SIGNIFICANT, Weights
 
 Array = NDArray[np.float64]
@@ -18,17 +18,17 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Exchanges:
-    """Pairs (c, c) of channels: alike up to a factor, and those of which the exchange may be accepted by itself."""
+    """Pairs (c, c) of channels: proportional, and those of which the exchange may be accepted by itself."""
 
-    alike: Bools
+    correlated: Bools
     possible: Bools
 
 
 @dataclass(frozen=True)
 class RunExchanges:
-    """Pairs (c, c) of channels of one run: alike up to a factor; not worse, and nearly perfect, once exchanged."""
+    """Pairs (c, c) of channels of one run: proportional; not worse, and nearly perfect, once exchanged."""
 
-    alike: Bools
+    correlated: Bools
     allowed: Bools
     explained: Bools
 
@@ -37,18 +37,18 @@ def find_exchanges(run: Evidence, weights: Weights, energy: Array) -> RunExchang
     """Return which channels may have been exchanged in a run with these energies (2 c + p,) of its residuals."""
     after, before = _energy_of_exchanged(run, weights), _energy_of_channels(run, energy)
     before = before[:, None] + before
-    return RunExchanges(alike_channels(run), after <= before + SIGNIFICANT, after <= REMAINING_SHARE * before)
+    return RunExchanges(correlated_channels(run), after <= before + SIGNIFICANT, after <= REMAINING_SHARE * before)
 
 
 def exchanges_in_all(runs: Sequence[RunExchanges]) -> Exchanges:
     """Return which channels may have been exchanged in all these runs: a quick test before each is tried.
 
-    They are alike in one of the runs, and two of them allow it: exchanges that fewer runs allow are never accepted. In
-    one run alone the exchange must explain nearly all.
+    They are proportional in one of the runs, and two of them allow it: exchanges that fewer runs allow are never
+    accepted. In one run alone the exchange must explain nearly all.
     """
-    alike = np.any([run.alike for run in runs], axis=0)
+    correlated = np.any([run.correlated for run in runs], axis=0)
     allowed = np.sum([run.allowed for run in runs], axis=0) >= 2 if len(runs) > 1 else runs[0].explained
-    return Exchanges(alike, np.asarray(alike & allowed))
+    return Exchanges(correlated, np.asarray(correlated & allowed))
 
 
 def _energy_of_exchanged(run: Evidence, weights: Weights) -> Array:

@@ -140,8 +140,8 @@ def candidate_hypotheses(
         *(
             Hypothesis(EXCHANGE_CHANNELS, tuple(i for pair in zip(first, second, strict=True) for i in pair))
             for first, second in combinations(sources, 2)
-            if len(first) == len(second) and all(exchanges.alike[pair] for pair in zip(first, second, strict=True))
+            if len(first) == len(second) and all(exchanges.correlated[pair] for pair in zip(first, second, strict=True))
         ),
         *(Hypothesis(SCALE_LOADS, group) for group in (forces, moments) if len(group) > 1),
-        Hypothesis(SCALE_CHANNELS, tuple(range(len(exchanges.alike)))),
+        Hypothesis(SCALE_CHANNELS, tuple(range(len(exchanges.correlated)))),
     ]

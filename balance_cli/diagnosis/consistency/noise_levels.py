@@ -44,7 +44,7 @@ def noise_findings(
     compared = [run for run in runs if run.kind in (*KINDS_WITH_KNOWN_LOADS, "wind")]
     levels = [level for run in compared if (level := measure_nyquist_noise(run, channel_names)) is not None]
     ratios = _unusual_ratios(levels, channel_names, stored)
-    return [_describe(group) for group in _alike(ratios)]
+    return [_describe(group) for group in _groups_of_equal_ratio(ratios)]
 
 
 def compare_noise(
@@ -69,7 +69,7 @@ def _unusual_ratios(
     return {run: ratio for run, ratio in ratios.items() if ratio is not None}
 
 
-def _alike(ratios: Mapping[str, float]) -> Iterator[dict[str, float]]:
+def _groups_of_equal_ratio(ratios: Mapping[str, float]) -> Iterator[dict[str, float]]:
     """The runs in groups of one ratio, in their order: they have one cause, and are one finding."""
     left = dict(ratios)
     while left:

@@ -14,7 +14,7 @@ from balance_cli.diagnosis.consistency.trials import (
     TIE,
     State,
     Trial,
-    concerns,
+    changes_residuals,
     energy_after,
     make_state,
     ranked_trials,
@@ -71,7 +71,11 @@ def _spread(state: State, trial: Trial) -> tuple[Trial, State]:
     corrected = make_state(_undo(state.runs, trial, shown), state.by_source)
     if len(trial.members) == 1:
         return trial, corrected
-    rest = [index for index in state.all_runs if index not in shown and concerns(trial.hypothesis, state.runs[index])]
+    rest = [
+        index
+        for index in state.all_runs
+        if index not in shown and changes_residuals(trial.hypothesis, state.runs[index])
+    ]
     agree = tuple(
         index
         for index in rest
@@ -101,7 +105,7 @@ def _undo(runs: Sequence[Evidence], trial: Trial, members: tuple[int, ...]) -> l
 def _contradicts(corrected: State, trial: Trial, index: int) -> bool:
     """Whether a run in which a mistake was not undone would become worse by undoing it."""
     run, weights = corrected.runs[index], corrected.weights[index]
-    if not concerns(trial.hypothesis, run):
+    if not changes_residuals(trial.hypothesis, run):
         return False
     after = energy_after(trial.hypothesis, run, trial.value, weights)
     return after - float(corrected.energy[index].sum()) > SIGNIFICANT

@@ -127,14 +127,14 @@ def _trials_for(
     trials = []
     pairs = exchanges_in_all([exchanges[index] for index in members])
     for hypothesis in candidate_hypotheses(suspicious, components, pairs, state.by_source):
-        concerned = tuple(index for index in members if concerns(hypothesis, state.runs[index]))
+        concerned = tuple(index for index in members if changes_residuals(hypothesis, state.runs[index]))
         if concerned and (len(members) == 1 or len(concerned) > 1):
             trial = _try(state, hypothesis, concerned)
             trials += [] if trial is None else [trial]
     return trials
 
 
-def concerns(hypothesis: Hypothesis, run: Evidence) -> bool:
+def changes_residuals(hypothesis: Hypothesis, run: Evidence) -> bool:
     """Whether a mistake would change the residuals of a run."""
     if hypothesis.kind in (EXCHANGE_LOADS, SCALE_LOADS):
         return bool(set(hypothesis.indices) & set(run.applied))

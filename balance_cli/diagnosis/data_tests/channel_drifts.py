@@ -131,7 +131,7 @@ def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTes
     kind, p_value = int(np.argmin(p_values)), bonferroni_min_p_value(p_values)
     place, finding = EVERY_CHANNEL, "equal"
     if p_value <= settings.significance_level:
-        group = fits[kind].group_apart(settings.record_changes.clear_sigma)
+        group = fits[kind].deviating_group(settings.record_changes.clear_sigma)
         place = ", ".join(names[loaded[i]] for i in group)
         finding = _describe(kind, *fits[kind].change_of(group), len(group))
     return ModelFreeTest(RECORD_CHANGE_TEST, place, fits[kind].chi2, dof, p_value, finding)
@@ -169,7 +169,7 @@ class ChannelFit:
         information = float(members @ self.matrix @ members)
         return float(members @ self.right) / information, information**-0.5
 
-    def group_apart(self, clear_sigma: float) -> list[int]:
+    def deviating_group(self, clear_sigma: float) -> list[int]:
         """The smaller of the two groups that explain most of chi-square; of equal ones that which has changed more."""
         order = np.argsort(self.change)
         groups = [(order[:i], order[i:]) for i in range(1, len(order))]

@@ -43,7 +43,7 @@ def describe_gain_change(
     if chi2_p_value(fit.chi2, (len(channels) - 1.0,), (np.inf,)) > settings.significance_level:
         mean, sigma = float(np.average(gain, weights=size)), float(np.sqrt(0.5 * birge / size.sum()))
         return f"all channels read {format_with_sigma(_factor(mean), sigma)} times as much, as if the force cell did"
-    group = fit.group_apart(groups.clear_sigma)
+    group = fit.deviating_group(groups.clear_sigma)
     value, sigma = fit.change_of(group)
     named = ", ".join(channels[i] for i in group)
     return f"{named} read {format_with_sigma(_factor(value), sigma)} times as much against the other channels"

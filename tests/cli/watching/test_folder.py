@@ -16,7 +16,7 @@ def test_a_file_is_returned_when_it_no_longer_changes(tmp_path):
     assert folder.poll() == ()
     write(tmp_path / "a.h5", "begun, continued", 101)
     assert folder.poll() == ()
-    assert folder.unsettled()
+    assert folder.has_changing_files()
     assert folder.poll() == (tmp_path / "a.h5",)
 
 
@@ -27,7 +27,7 @@ def test_a_file_that_is_done_returns_only_after_a_change(tmp_path):
     assert folder.poll() == (tmp_path / "a.h5",)
     folder.mark_done(tmp_path / "a.h5")
     assert folder.poll() == ()
-    assert not folder.unsettled()
+    assert not folder.has_changing_files()
     write(tmp_path / "a.h5", "content", 200)
     folder.poll()
     assert folder.poll() == (tmp_path / "a.h5",)
@@ -59,4 +59,4 @@ def test_a_file_that_is_moved_away_is_forgotten(tmp_path):
     folder.poll()
     (tmp_path / "a.h5").unlink()
     assert folder.poll() == ()
-    assert not folder.unsettled()
+    assert not folder.has_changing_files()
