@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals.rotor.spectral_floor import row_medians
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Counts = NDArray[np.intp]
@@ -133,7 +135,7 @@ def pooled_covariance(
     dof = float(np.median(window_sums(counts, width)))
     bound = outlier_bound(counts, n)
     weights = _initial_weights(deviations, counts, floor)
-    products = _WindowProducts(deviations, starts, min(width, K))
+    products = _WindowProducts(deviations, min(width, K), step)
     knots, inverses = (np.empty((len(starts), n, n), complex) for _ in range(2))
     for _ in range(ROBUST_ITERATIONS):
         total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
@@ -148,34 +150,75 @@ def pooled_covariance(
 class _WindowProducts:
     """Weighted `sums` (B, n, n) of outer products of deviations (K, v, n) over windows of `width` lines.
 
-    Windows overlap: the products of the lines between two successive edges of windows are computed once, and again only
-    where weights have changed, which are those of a few lines.
+    Windows overlap. Away from the edges of the spectrum each is a number of whole blocks of `step` lines, and the head
+    of a block: the products of heads and tails of all blocks are computed once, and again only where weights have
+    changed, which are those of a few lines. The windows at the two edges are summed by themselves.
     """
 
-    def __init__(self, deviations: ComplexArray, starts: NDArray[np.int64], width: int) -> None:
-        n = deviations.shape[2]
-        self._deviations, self._cuts = deviations, np.unique(np.concatenate([starts, starts + width]))
-        self._ends = np.searchsorted(self._cuts, np.stack([starts, starts + width], axis=1))
-        self._weights = np.full(len(deviations), np.nan)
-        self._parts = np.empty((len(self._cuts) - 1, n, n), complex)
-        self.sums = np.empty((len(starts), n, n), complex)
+    def __init__(self, deviations: ComplexArray, width: int, step: int) -> None:
+        K, v, n = deviations.shape
+        self._deviations, self._width, self._head = deviations, width, width % step
+        self._starts = _window_starts(K, width, step)
+        offset, unclipped = -(width // 2) % step, np.arange(0, K, step) - width // 2
+        inner = np.flatnonzero(self._starts == unclipped)
+        self._inner = slice(int(inner[0]), int(inner[-1]) + 1) if len(inner) else slice(0, 0)
+        self._first = (int(unclipped[self._inner.start]) - offset) // step
+        self._edges = np.unique(self._starts[self._starts != unclipped]).tolist()
+        self._padding = (-(K - offset)) % step
+        padded = np.concatenate([deviations[offset:], np.zeros((self._padding, v, n))])
+        self._rows, self._offset = padded.reshape(-1, step, v, n), offset
+        self._weights = np.full(K, np.nan)
+        self._heads, self._tails = (np.zeros((len(self._rows) + 1, n, n), complex) for _ in range(2))
+        self.sums = np.empty((len(self._starts), n, n), complex)
 
     def weigh(self, weights: Array) -> NDArray[np.int64]:
         """Take weights (K,), and return the windows whose sums have changed."""
-        lines = np.concatenate([[0], np.cumsum(weights != self._weights)])
-        self._weights = weights
-        parts = np.flatnonzero(lines[self._cuts[1:]] > lines[self._cuts[:-1]])
-        n = self._deviations.shape[2]
-        for part in parts.tolist():
-            own = slice(self._cuts[part], self._cuts[part + 1])
-            rows = self._deviations[own]
-            weighted = rows.conj() * weights[own, None, None]
-            np.dot(rows.reshape(-1, n).T, weighted.reshape(-1, n), out=self._parts[part])
-        first, last = self._ends.T
-        windows = np.flatnonzero(lines[self._cuts[last]] > lines[self._cuts[first]])
-        for window in windows.tolist():
-            np.sum(self._parts[first[window] : last[window]], axis=0, out=self.sums[window])
+        different, self._weights = weights != self._weights, weights
+        self._update_blocks(weights, different)
+        lines = np.concatenate([[0], np.cumsum(different)])
+        windows = np.flatnonzero(lines[self._starts + self._width] > lines[self._starts])
+        count, whole, first = self._inner.stop - self._inner.start, self._width // self._rows.shape[1], self._first
+        parts = (self._heads + self._tails)[first : first + count + whole - 1]
+        if count:
+            np.add(_sliding_sums(parts, whole), self._heads[first + whole :][:count], out=self.sums[self._inner])
+        for edge in self._edges:
+            own = slice(edge, edge + self._width)
+            self.sums[self._starts == edge] = _outer_products(self._deviations[None, own], weights[None, own])
         return windows
+
+    def _update_blocks(self, weights: Array, different: NDArray[np.bool_]) -> None:
+        """Compute the products of the blocks in which weights are different."""
+        count, step = self._rows.shape[:2]
+        nothing = np.zeros(self._padding)
+        split = np.concatenate([weights[self._offset :], nothing]).reshape(count, step)
+        changed = np.concatenate([different[self._offset :], nothing]).reshape(count, step)
+        blocks = np.flatnonzero(changed.any(axis=1))
+        rows, weight, head = self._rows[blocks], split[blocks], self._head
+        if head:
+            self._heads[blocks] = _outer_products(rows[:, :head], weight[:, :head])
+        self._tails[blocks] = _outer_products(rows[:, head:], weight[:, head:])
+
+
+def _outer_products(rows: ComplexArray, weights: Array) -> ComplexArray:
+    """Return the sums (b, n, n) of outer products of vectors (b, s, v, n), weighted by (b, s)."""
+    b, s, v, n = rows.shape
+    weighted = rows.conj() * weights[:, :, None, None]
+    return np.asarray(np.matmul(rows.reshape(b, s * v, n).swapaxes(1, 2), weighted.reshape(b, s * v, n)))
+
+
+def _sliding_sums(parts: ComplexArray, width: int) -> ComplexArray:
+    """Return the sums (b - width + 1, ...) of `width` successive parts (b, ...), at least one.
+
+    Sums over as many parts as the binary digits of the width say are added: no difference of sums loses digits.
+    """
+    total, doubled, done, count = np.zeros_like(parts[: len(parts) - width + 1]), parts, 0, len(parts) - width + 1
+    for digit in range(width.bit_length()):
+        if digit:
+            doubled = doubled[: -(1 << digit - 1)] + doubled[1 << digit - 1 :]
+        if width >> digit & 1:
+            total += doubled[done : done + count]
+            done += 1 << digit
+    return total
 
 
 def mean_distances(
@@ -210,10 +253,11 @@ def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILIT
 
 def _pooling_width(counts: Array, least_dof: float) -> int:
     """Least odd number of lines that gives `least_dof` at every line (by bisection), or all lines."""
+    total = np.concatenate([[0.0], np.cumsum(counts)])
     low, high = 0, (len(counts) - 1) // 2
     while low < high:
         middle = (low + high) // 2
-        enough = np.min(window_sums(counts, 2 * middle + 1)) >= least_dof
+        enough = np.min(total[2 * middle + 1 :] - total[: -2 * middle - 1]) >= least_dof
         low, high = (low, middle) if enough else (middle + 1, high)
     return 2 * low + 1
 
@@ -224,6 +268,6 @@ def _initial_weights(deviations: ComplexArray, counts: Array, floor: Array) -> A
     squares = np.einsum("kvp,kvp->kp", parts, parts)
     power = (squares[:, ::2] + squares[:, 1::2]) / np.maximum(counts, 1e-12)[:, None] + floor
     blocks = np.array_split(power, max(len(power) // MEDIAN_LINES, 1))
-    typical = np.concatenate([np.broadcast_to(np.median(block, axis=0), block.shape) for block in blocks])
+    typical = np.concatenate([np.broadcast_to(row_medians(block.T), block.shape) for block in blocks])
     largest = np.max(power / np.maximum(typical, 1e-300), axis=1)
     return np.asarray(np.minimum(1.0, INITIAL_POWER_LIMIT / np.maximum(largest, 1e-300)), float)

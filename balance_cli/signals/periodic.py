@@ -6,7 +6,7 @@ Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,8 @@ from scipy.fft import rfft
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
-from balance_cli.signals.covariance_pooling import (
-    inverse_bias_factor,
-    mean_distances,
-    outlier_bound,
-    pooled_covariance,
-    variance_floor,
-)
+from balance_cli.signals.covariance_pooling import inverse_bias_factor, variance_floor
+from balance_cli.signals.line_covariance import LineCovariance, pool_scatter
 from balance_cli.signals.periodic_transient import find_steady_start
 from balance_cli.signals.run_samples import (
     channel_columns,
@@ -55,8 +50,6 @@ LEAST_SHARE_OF_LINES = 0.1
 """Share of the lines from which a load that is not declared as excited is nevertheless an input."""
 NOISE_LINES = 40
 """Lines beyond the excited band that are kept, for the noise to be pooled over."""
-INFLATION_PROBABILITY = 1e-4
-"""Probability with which noise alone exceeds the bound from which a line has its own, larger covariance."""
 
 
 @dataclass(frozen=True)
@@ -98,31 +91,35 @@ def periodic_record(
     spectra, number, components = _period_spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
     start = find_steady_start(spectra)
-    mean, covariance, dof = _mean_and_covariance(spectra, start.first)
-    noise = (covariance, dof)
-    covariance = covariance * (1.0 + start.bias)[:, None, None]
+    mean, noise = _mean_and_noise(spectra, start.first)
+    total, left = noise.scaled(1.0 + start.bias), None
     if len(spectra) >= FEWEST_PERIODS and not start.steady.all():
-        deviations, counts = deviations_from_decay(spectra)
-        pooled, noise_dof = _pool_scatter(deviations, counts, variance_floor(spectra))
-        noise = (pooled / (len(spectra) - start.first)[:, None, None], noise_dof)
-        covariance = covariance + transient_covariance(spectra, start)
-    excited = _excited_lines(mean, covariance, len(components))
+        noise = pool_scatter(*deviations_from_decay(spectra), variance_floor(spectra))
+        noise = noise.scaled(1.0 / (len(spectra) - start.first))
+        left = transient_covariance(spectra, start)
+    variance = total.variance if left is None else total.variance + np.einsum("kss->ks", left).real
+    excited = _excited_lines(mean, variance, len(components))
     selected = _select_lines(run, excited, frequency, band)
+    inputs = _input_columns(components, excited[selected], run.excited)
+    c = len(channel_names)
+    signals = np.array([*range(c), *(c + i for i in inputs)])
+    covariance = total.at(selected, signals)
     lines = RunSpectrum(
         run=run.name,
         channel_names=tuple(channel_names),
-        components=components,
+        components=tuple(components[i] for i in inputs),
         frequency=frequency[selected],
-        channels=mean[selected, : len(channel_names)],
-        loads=mean[selected, len(channel_names) :],
-        covariance=covariance[selected],
-        dof=dof,
+        channels=mean[selected, :c],
+        loads=mean[selected][:, signals[c:]],
+        covariance=covariance if left is None else covariance + left[selected][:, signals[:, None], signals],
+        dof=total.dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
-        window=_analysis_window(run, len(spectra), samples, start.first[selected], noise[0][selected], noise[1]),
-        periods=spectra[:, selected, : len(channel_names)],
+        window=_analysis_window(
+            run, len(spectra), samples, start.first[selected], noise.at(selected, signals), noise.dof
+        ),
+        periods=spectra[:, selected, :c],
     )
-    lines = _drop_unexcited_components(lines, excited[selected], run.excited)
     steady = bool(np.all(start.steady[selected]))
     return _periodic_record_of(run, lines, spectra, samples, start.first[selected], steady)
 
@@ -174,40 +171,34 @@ def _period_spectra(
         np.multiply(spectrum[:, 1:last], 2.0 / samples, out=amplitudes[p])
     components = measured_components(run, largest_loads)
     signals = [*range(c), *(c + column for column in load_columns(components))]
-    spectra = amplitudes.swapaxes(1, 2)[:, :, signals]
-    load_size = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
-    strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * load_size.max(axis=0, initial=0.0), axis=1))
+    load_size = np.abs(amplitudes[periods // 2 :, signals[c:]].mean(axis=0))
+    largest = load_size.max(axis=1, initial=0.0)[:, None]
+    strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * largest, axis=0))
     if not strong.size:
         fault = f"no load varies within a period, which is {samples} samples"
         raise run_error(run, fault, "Correct `sample_rate` and `period`", "loads")
-    lines = np.arange(max(strong[0] - 2, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
-    return np.ascontiguousarray(spectra[:, lines]), lines + 1, components
+    begin, end = max(strong[0] - 2, 0), min(strong[-1] + NOISE_LINES, last - 1)
+    spectra = np.ascontiguousarray(amplitudes[:, signals, begin:end].swapaxes(1, 2))
+    return spectra, np.arange(begin, end) + 1, components
 
 
-def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:
-    """Mean (K, n) over the steady periods of each line, covariance (K, n, n) of the mean, and its dof."""
+def _mean_and_noise(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, LineCovariance]:
+    """Mean (K, n) over the steady periods of each line, and the covariance of the mean."""
     P = len(spectra)
     used = np.arange(P)[:, None] >= first
     m = used.sum(axis=0).astype(float)
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
-    covariance, dof = _pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra))
-    return mean, covariance / m[:, None, None], dof
+    return mean, pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra)).scaled(1.0 / m)
 
 
-def _pool_scatter(deviations: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
-    """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbors."""
-    pooled = pooled_covariance(deviations, counts, floor=floor)
-    distance = mean_distances(pooled, deviations, counts)
-    improbable = distance > outlier_bound(counts, deviations.shape[2], INFLATION_PROBABILITY)
-    return pooled.at_lines * np.where(improbable, distance, 1.0)[:, None, None], pooled.dof
+def _excited_lines(mean: ComplexArray, variance: Array, inputs: int) -> NDArray[np.bool_]:
+    """Whether (K, u) a load exceeds its noise by far, and is not small beside its strongest line.
 
-
-def _excited_lines(mean: ComplexArray, covariance: ComplexArray, inputs: int) -> NDArray[np.bool_]:
-    """Whether (K, u) a load exceeds its noise by far and is not small beside its strongest line."""
+    `mean` and `variance` are (K, n), with the loads last.
+    """
     amplitude = np.abs(mean[:, -inputs:])
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real[:, -inputs:])
-    above_noise = amplitude > LEAST_LINE_SIGNAL_TO_NOISE * sigma
+    above_noise = amplitude > LEAST_LINE_SIGNAL_TO_NOISE * np.sqrt(variance[:, -inputs:])
     return np.asarray(above_noise & (amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)))
 
 
@@ -227,22 +218,10 @@ def _select_lines(
     return np.asarray(selected)
 
 
-def _drop_unexcited_components(lines: RunSpectrum, excited: NDArray[np.bool_], declared: Sequence[str]) -> RunSpectrum:
-    """The lines without the load components that were measured, but neither declared as excited nor more than noise."""
+def _input_columns(components: Sequence[str], excited: NDArray[np.bool_], declared: Sequence[str]) -> list[int]:
+    """The loads that are inputs; the others were measured, but are neither declared as excited nor more than noise."""
     share = excited.mean(axis=0)
-    inputs = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
-    c = lines.channels.shape[1]
-    signals = np.array([*range(c), *(c + i for i in inputs)])
-    window = lines.window
-    if window is not None:
-        window = replace(window, covariance=window.covariance[:, signals[:, None], signals])
-    return replace(
-        lines,
-        window=window,
-        components=tuple(lines.components[i] for i in inputs),
-        loads=lines.loads[:, inputs],
-        covariance=lines.covariance[:, signals[:, None], signals],
-    )
+    return [i for i, name in enumerate(components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
 
 
 def _analysis_window(

@@ -7,6 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.io.errors import UserError
+from balance_cli.signals import covariance_pooling
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, pooled_covariance
 from balance_cli.signals.periodic import periodic_record, periodic_spectrum, samples_per_period
 from balance_cli.signals.periodic_transient import find_steady_start
@@ -169,6 +170,20 @@ def test_covariance_follows_the_color_of_the_noise():
     ratio = np.trace(pooled.at_lines, axis1=1, axis2=2).real / (4 * color)
     assert np.abs(ratio[30:-30] - 1).max() < 0.3
     assert ratio[30:-30].mean() == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("lines", "dof"), [(40, 3.0), (200, 2.0), (200, 1.6), (97, 6.0), (30, 10.0), (1, 400.0)])
+def test_pooled_covariance_is_the_mean_over_the_window_around_each_knot(monkeypatch, lines, dof):
+    monkeypatch.setattr(covariance_pooling, "ROBUST_ITERATIONS", 1)
+    monkeypatch.setattr(covariance_pooling, "INITIAL_POWER_LIMIT", np.inf)
+    rng = np.random.default_rng(3)
+    deviations = rng.standard_normal((lines, 2, 3)) + 1j * rng.standard_normal((lines, 2, 3))
+    pooled = pooled_covariance(deviations, np.full(lines, dof))
+    width = min(int(np.ceil(covariance_pooling.LEAST_POOLED_DOF / dof)) | 1, (lines - 1) | 1)
+    for knot, center in zip(pooled.knots, range(0, lines, pooled.step), strict=True):
+        start = min(max(center - width // 2, 0), lines - width)
+        rows = deviations[start : start + width].reshape(-1, 3)
+        np.testing.assert_allclose(knot, rows.T @ rows.conj() / (width * dof), rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize(("lines", "n", "vectors"), [(400, 4, 3), (1, 2, 2), (7, 2, 1), (1001, 3, 1)])

@@ -47,18 +47,21 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     first = spectra[0]
     U = np.stack([spectrum.loads for spectrum in spectra], axis=2)
     Y = np.stack([spectrum.channels for spectrum in spectra], axis=2)
-    size = np.sqrt(np.mean(np.abs(U) ** 2, axis=(0, 2)))
-    if np.median(np.linalg.cond(U / size[:, None])) > LARGEST_LOAD_CONDITION:
+    if _load_condition(U) > LARGEST_LOAD_CONDITION:
         raise UserError(
             f"the loads {', '.join(first.components)} are proportional to each other",
             f"run {first.run}",
             remedy="Record as many runs as components, with different phases",
         )
-    inverse = np.linalg.pinv(U)
+    inverse = _right_inverse(U)
     response = Y @ inverse
-    noise = np.mean([equation_error_noise(spectrum, response) for spectrum in spectra], axis=0)
-    excess = np.sqrt(run_difference_ratio(Y - response @ U, noise, len(spectra) - len(first.components)))
-    noise = noise * excess[:, :, None] * excess[:, None, :]
+    noise = equation_error_noise(first, response)
+    for spectrum in spectra[1:]:
+        noise += equation_error_noise(spectrum, response)
+    noise /= len(spectra)
+    if len(spectra) > len(first.components):
+        excess = np.sqrt(run_difference_ratio(Y - response @ U, noise, len(spectra) - len(first.components)))
+        noise *= excess[:, :, None] * excess[:, None, :]
     power = U @ U.conj().swapaxes(1, 2) / len(spectra)
     periods = np.mean([record.periods - record.first for record in records], axis=0)
     ordinary, multiple = coherences(response, noise * periods[:, None, None], power)
@@ -76,6 +79,22 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
         rotor_speed=first.rotor_speed,
         level=first.level,
     )
+
+
+def _load_condition(U: ComplexArray) -> float:
+    """Return the median condition number of loads (k, u, R), each over its size."""
+    if U.shape[1] == 1:
+        return 1.0
+    size = np.sqrt(np.mean(np.abs(U) ** 2, axis=(0, 2)))
+    return float(np.median(np.linalg.cond(U / size[:, None])))
+
+
+def _right_inverse(U: ComplexArray) -> ComplexArray:
+    """Return the pseudoinverses (k, R, u) of loads (k, u, R); that of one load needs no singular values."""
+    if U.shape[1] > 1:
+        return np.asarray(np.linalg.pinv(U))
+    adjoint = U.conj().swapaxes(1, 2)
+    return np.asarray(adjoint / np.sum(np.abs(U) ** 2, axis=2, keepdims=True))
 
 
 def run_difference_ratio(residual: ComplexArray, noise: ComplexArray, redundant: int) -> Array:
