@@ -158,8 +158,10 @@ def test_merged_shards_are_the_loads_of_one_call(folder, reference, tmp_path):
 def test_shards_share_the_survey_of_all_headers(folder, reference, tmp_path, monkeypatch):
     """The second shard reads headers of runs that have changed only; a run of another name shows."""
     surveyed = []
-    survey_run = batch_reduction.survey_run
-    monkeypatch.setattr(batch_reduction, "survey_run", lambda item: surveyed.append(item.path.name) or survey_run(item))
+    survey_run = batch_reduction.work.survey_run
+    monkeypatch.setattr(
+        batch_reduction.work, "survey_run", lambda item: surveyed.append(item.path.name) or survey_run(item)
+    )
     runs = [tmp_path / path.name for path in runs_of(folder)]
     for path, run in zip(runs_of(folder), runs, strict=True):
         run.write_bytes(path.read_bytes())
@@ -198,7 +200,7 @@ def test_shards_of_two_reductions_are_not_merged(folder, tmp_path):
 
 @pytest.mark.parametrize("histories", [False, True])
 def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_path, monkeypatch, histories):
-    output, done_before, work = tmp_path / "l.h5", [], batch_reduction.reduce_file
+    output, done_before, work = tmp_path / "l.h5", [], batch_reduction.work.reduce_file
     words = ("--history", tmp_path / "histories") if histories else ()
 
     def interrupt_at_the_sixth(item):
@@ -207,7 +209,7 @@ def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_pa
         done_before.append(item.path)
         return work(item)
 
-    monkeypatch.setattr(batch_reduction, "reduce_file", interrupt_at_the_sixth)
+    monkeypatch.setattr(batch_reduction.work, "reduce_file", interrupt_at_the_sixth)
     monkeypatch.setattr(Journal, "close", lambda journal, remove=True: journal._file.close())
     assert reduce(folder, output, *words).exit_code != 0
     assert "5 reduced runs are kept in " in describe_kept_results()
@@ -215,7 +217,7 @@ def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_pa
     kept = journal_path(output)
     kept.write_bytes(kept.read_bytes()[:-40])  # the last line was not written whole
     again = []
-    monkeypatch.setattr(batch_reduction, "reduce_file", lambda item: (again.append(item.path), work(item))[1])
+    monkeypatch.setattr(batch_reduction.work, "reduce_file", lambda item: (again.append(item.path), work(item))[1])
     done = reduce(folder, output, *words)
     assert done.exit_code == 0 and "4 of 9 runs" in done.stdout
     assert again == runs_of(folder)[4:]
@@ -226,14 +228,14 @@ def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_pa
 
 
 def test_a_history_that_is_gone_is_made_again(folder, tmp_path, monkeypatch):
-    words, work = ("--history", tmp_path / "histories"), batch_reduction.reduce_file
+    words, work = ("--history", tmp_path / "histories"), batch_reduction.work.reduce_file
     monkeypatch.setattr(BatchReduction, "_stage_histories", lambda batch, reduction: 1 / 0)
     monkeypatch.setattr(Journal, "close", lambda journal, remove=True: journal._file.close())
     assert reduce(folder, tmp_path / "l.h5", *words).exit_code == 1
     monkeypatch.undo()
     (tmp_path / ".l.h5.histories" / "wind-00003.h5").unlink()
     again = []
-    monkeypatch.setattr(batch_reduction, "reduce_file", lambda item: (again.append(item.path.name), work(item))[1])
+    monkeypatch.setattr(batch_reduction.work, "reduce_file", lambda item: (again.append(item.path.name), work(item))[1])
     assert reduce(folder, tmp_path / "l.h5", *words).exit_code == 0
     assert again == ["wind-00003.h5"] and len(list((tmp_path / "histories").iterdir())) == COUNT
 

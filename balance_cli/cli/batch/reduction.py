@@ -13,20 +13,13 @@ from pathlib import Path
 from balance_cli import __version__
 from balance_cli.campaign.recording.run_file import duplicate_run_error, open_matching_run
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
+from balance_cli.cli.batch import work
 from balance_cli.cli.batch.executors import batch_workers
 from balance_cli.cli.batch.journal import Journal, journal_path
 from balance_cli.cli.batch.kept_surveys import KeptSurveys
 from balance_cli.cli.batch.options import BatchOptions
 from balance_cli.cli.batch.ordered import WorkerPool, worker_pool
-from balance_cli.cli.batch.work import (
-    ROTOR_KINDS,
-    Item,
-    RunResult,
-    RunSurvey,
-    pickle_reduction,
-    reduce_file,
-    survey_run,
-)
+from balance_cli.cli.batch.work import ROTOR_KINDS, Item, RunResult, RunSurvey
 from balance_cli.cli.common import Session
 from balance_cli.cli.consistency import inconsistent_runs
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
@@ -91,8 +84,8 @@ class BatchReduction:
         """Learn the kind of every run, and require names to be unique."""
         inputs = [(item.role, item.digest) for item in self.session.provenance().inputs]
         stored = KeptSurveys(self.options.survey, [inputs, reduction.method.rotor])
-        known, data = stored.find_all(paths), pickle_reduction(reduction)
-        results = pool.results(survey_run, (Item(path, data) for path in paths if path not in known))
+        known, data = stored.find_all(paths), work.pickle_reduction(reduction)
+        results = pool.results(work.survey_run, (Item(path, data) for path in paths if path not in known))
         by_name: dict[str, Path] = {}
         for path in self.session.progress(paths, "reading", len(paths)):
             survey = known.get(path) or next(results)[1]
@@ -151,13 +144,13 @@ class BatchReduction:
     def _reduce_runs(self, pool: WorkerPool, reduction: Reduction, output: Path) -> None:
         selection = [path for path in self._shard() if self._may_have_history(path, reduction)]
         with self._journal(reduction, output, len(selection)) as journal:
-            data = pickle_reduction(reduction)
+            data = work.pickle_reduction(reduction)
             done = {path for path in selection if self._is_done(path, journal, reduction)}
             if done:
                 self.session.echo(f"{len(done)} of {len(selection)} runs were reduced before an interruption")
             items = {path: self._item(path, reduction, data, journal) for path in selection}
             rest = (items[path] for path in selection if path not in done)
-            results = pool.results(reduce_file, rest)
+            results = pool.results(work.reduce_file, rest)
             for path in self.session.progress(selection, "runs", len(selection)):
                 stored = journal.find(path) if journal is not None and path in done else None
                 item, result = (items[path], stored) if stored is not None else next(results)
