@@ -19,12 +19,13 @@ from tests.calibration.test_load_residuals import geometry, run
 
 @cache
 def calibrated(seed: int, gain: float = 1.0):
-    """A calibration; the first channel reads `gain` times as much."""
+    """A calibration; the first channel reads `gain` times as much. The load series are stated: none is searched."""
     rig = geometry()
-    made = run(rig, seed=seed)
-    block = made.read()
+    recorded = run(rig, seed=seed)
+    block = recorded.read()
     source = MemorySource(block.channels * [gain, 1.0, 1.0], block.loads)
-    return calibrate([replace(made, source=source)], rig, LINEAR_TERMS)
+    series = tuple(f"load {component}" for component in range(3) for _ in range(recorded.samples // 3))
+    return calibrate([replace(recorded, source=source, series_labels=series)], rig, LINEAR_TERMS)
 
 
 def chart(gains, first_seed=0):
