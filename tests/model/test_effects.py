@@ -141,6 +141,7 @@ TRUTHS = {
     "parallel-stiffness": truth(
         "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e3, stiffness_y=1e3, stiffness_z=4e3, damping_time=1e-3
     ),
+    "parallel-dashpot": truth("parallel-dashpot", x=0.3, y=-0.2, z=0.2, damping_x=20.0, damping_y=10.0, damping_z=30.0),
     "cell-misalignment": truth("cell-misalignment", ("z1",), angle_1=2e-4, angle_2=-3e-4),
     "cell-position": truth("cell-position", ("z1",), plan=together(), offset_1=2e-4, offset_2=-3e-4),
     "transverse-stiffness": truth("transverse-stiffness", ("all",), stiffness=500.0),

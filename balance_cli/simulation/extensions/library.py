@@ -45,6 +45,7 @@ from balance_cli.simulation.extensions.structure import (
     AddedMass,
     GyroscopicCoupling,
     MastBending,
+    ParallelDashpot,
     ParallelStiffness,
     SupportFlexibility,
 )
@@ -55,6 +56,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     AddedMass,
     GyroscopicCoupling,
     ParallelStiffness,
+    ParallelDashpot,
     CellMisalignment,
     CellPosition,
     TransverseStiffness,

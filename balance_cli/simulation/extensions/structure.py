@@ -165,6 +165,25 @@ class ParallelStiffness(Extension):
 
 
 @dataclass(frozen=True)
+class ParallelDashpot(Extension):
+    """Three dashpots [N s/m] along the rig's axes between the plate at x, y, z [m] and ground, beside the cells."""
+
+    name: ClassVar[str] = "parallel-dashpot"
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    damping_x: float = 0.0
+    damping_y: float = 0.0
+    damping_z: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
+        """The equations with the three dashpots."""
+        rows = mechanics.plate_displacement((self.x, self.y, self.z))
+        rates = np.array([self.damping_x, self.damping_y, self.damping_z])
+        return replace(mechanics, damping=mechanics.damping + rows.T @ (rates[:, None] * rows))
+
+
+@dataclass(frozen=True)
 class GyroscopicCoupling(Extension):
     """Parts that spin about z with `polar_inertia` [kg m2] couple the tilts of the plate.
 
