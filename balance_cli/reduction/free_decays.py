@@ -16,6 +16,7 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.edge_weight import EDGE_REVOLUTIONS
 from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST
 from balance_cli.signals.rotor.other_lines import OtherLines
+from balance_cli.signals.run_samples import sample_rate
 
 DECAY_TIME_CONSTANTS = 12.0
 """Time constants of a mode after which its start transient is not fitted: exp(-12) is 6e-6, below what the noise of
@@ -60,8 +61,7 @@ def response_is_constant(
 
 def _lasting_exponents(system: System, run: Run, time: float) -> tuple[complex, ...]:
     """Return the eigenvalues [1/s] of the oscillating modes that have not decayed at a time [s]."""
-    assert run.sample_rate is not None
-    highest = 0.5 * BELOW_NYQUIST * run.sample_rate
+    highest = 0.5 * BELOW_NYQUIST * sample_rate(run)
     s = _oscillating_modes(system, system.coupled_spin(run.rotor_speed), highest)
     return tuple(s[-s.real < DECAY_TIME_CONSTANTS / time].tolist())
 

@@ -41,6 +41,7 @@ from balance_cli.signals.rotor.harmonics import (
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines, tones_beside
 from balance_cli.signals.rotor.other_rotors import ConfoundedLine, other_azimuths, rotor_azimuth, without_other_rotors
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
+from balance_cli.signals.run_samples import sample_rate
 from balance_cli.signals.transient_end import find_transient_end
 
 Array = NDArray[np.float64]
@@ -179,15 +180,14 @@ def tone_record(
 
     The phase counts from the first sample. Raises UserError where the record holds too few cycles or no channel.
     """
-    assert run.sample_rate is not None
     health = usable_channels(run, geometry, source)
-    duration = (run.samples - 1) / run.sample_rate
+    duration = (run.samples - 1) / sample_rate(run)
     cycles = int(duration * frequency)
     if cycles < FEWEST_REVOLUTIONS:
         fault = f"holds {cycles} cycles of {frequency:g} Hz; at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, _place(run), "--frequencies", "Record for longer, or give a higher frequency")
-    if frequency >= BELOW_NYQUIST * run.sample_rate / 2.0:
-        fault = f"{frequency:g} Hz is beyond half the sample rate, {run.sample_rate:g} Hz"
+    if frequency >= BELOW_NYQUIST * sample_rate(run) / 2.0:
+        fault = f"{frequency:g} Hz is beyond half the sample rate, {sample_rate(run):g} Hz"
         raise UserError(fault, _place(run), "--frequencies", "Give lower frequencies")
     azimuth = azimuth_from_pulses(np.arange(cycles + 1) / frequency)
     tones = tones_beside(frequency, others, duration, FITTED_HARMONICS)

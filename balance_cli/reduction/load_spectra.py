@@ -30,6 +30,7 @@ from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import BLOCK_SAMPLES, CleanRecord, channel_noise
 from balance_cli.signals.cross_spectra import CrossSpectra, cross_spectra
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -75,7 +76,6 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     is_redundant = inversion.T.shape[1] > len(components) and sensor_count(geometry, health.live) > len(components)
     words = ("" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else "")
     rejected = density.redundancy > density.limit
-    assert run.sample_rate is not None
     return RunSpectra(
         run=run.name,
         kind=run.kind,
@@ -90,7 +90,7 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         flags=tuple(join_flags((*words, REDUNDANCY if bad else "")) for bad in rejected),
         resolution_hz=BANDWIDTH_BINS * float(np.min(np.diff(spectra.frequency), initial=np.inf)),
         averages=float(np.median(spectra.averages)),
-        interval=(first / run.sample_rate, run.samples / run.sample_rate),
+        interval=(first / sample_rate(run), run.samples / sample_rate(run)),
         left_out=health.left_out,
         load_error=_load_error(spectra, inversion, components, geometry, len(health.live)) if has_loads else None,
     )
@@ -139,17 +139,15 @@ def _place(run: Run) -> str:
 
 def _first_sample(run: Run, source: ResponseSource) -> int:
     """Return the first sample after the start transient, of which a record at rest gives no other evidence."""
-    assert run.sample_rate is not None
-    transient = TRANSIENT_TIME_CONSTANTS * source.slowest_decay * run.sample_rate
+    transient = TRANSIENT_TIME_CONSTANTS * source.slowest_decay * sample_rate(run)
     return int(min(transient, TRANSIENT_SHARE * run.samples))
 
 
 def _measured_spectra(run: Run, health: ChannelHealth, first: int) -> CrossSpectra:
     """Return the cross spectra of the live channels, and behind them of the loads where the run has them."""
-    assert run.sample_rate is not None
     length = int(2 ** np.floor(np.log2(max((run.samples - first) / WINDOWS, 2.0))))
     try:
-        return cross_spectra(_signals(run, health, first), 1.0 / run.sample_rate, length)
+        return cross_spectra(_signals(run, health, first), 1.0 / sample_rate(run), length)
     except ValueError as error:
         raise UserError("is too short for a spectrum", _place(run), "channels", "Record for longer") from error
 
@@ -164,8 +162,7 @@ def _signals(run: Run, health: ChannelHealth, first: int) -> Iterator[tuple[int,
 
 def _within_band(spectra: CrossSpectra, run: Run, source: ResponseSource, band: tuple[float, float]) -> CrossSpectra:
     """Return the spectra within the band. UserError where they hold too few frequencies, or the response ends."""
-    assert run.sample_rate is not None
-    highest = min(BELOW_NYQUIST * run.sample_rate / 2.0, highest_frequency(source))
+    highest = min(BELOW_NYQUIST * sample_rate(run) / 2.0, highest_frequency(source))
     if band[1] > highest:
         fault = f"{band[1]:g} Hz is beyond what the record and the response hold, {highest:.5g} Hz"
         raise UserError(fault, _place(run), "--band", "Give a lower end")
@@ -183,7 +180,6 @@ def _invert(
     run: Run, geometry: Geometry, source: ResponseSource, health: ChannelHealth, frequency: Array, variance: Array
 ) -> _Inversion:
     """Return the inverse of the response, weighted by the noise of the channels of variance (c,) [V2] in a sample."""
-    assert run.sample_rate is not None
     components = carried_components(geometry)
     chosen = source.channel_combination(frequency, health.live)
     combination = chosen.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
@@ -193,7 +189,7 @@ def _invert(
         left_out = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
         fault = f"the channels do not determine {', '.join(components)} (left out: {left_out})"
         raise UserError(fault, _place(run), "channels", "Repair the channels, or leave the run out with --skip-bad")
-    noise = (combination * (variance / run.sample_rate).astype(complex)) @ _adjoint(combination)
+    noise = (combination * (variance / sample_rate(run)).astype(complex)) @ _adjoint(combination)
     weighted = np.asarray(np.linalg.solve(noise, T), complex)
     G = np.asarray(np.linalg.solve(_adjoint(T) @ weighted, _adjoint(weighted)), complex)
     return _Inversion(chosen.rows, combination, T, G, np.asarray(noise, complex))

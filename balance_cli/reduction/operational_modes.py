@@ -26,6 +26,7 @@ from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.cross_spectra import MAIN_LOBE, blackman_harris
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.spectral_floor import row_medians
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,13 +85,12 @@ def operational_modes(
     `azimuths` are those of all rotors, whose harmonics are left out. The frequency is that of the undamped oscillator.
     """
     run = record.run
-    assert run.sample_rate is not None
-    first, last = (int(t * run.sample_rate) for t in record.spectra.interval)
+    first, last = (int(t * sample_rate(run)) for t in record.spectra.interval)
     names = record.health.live
     columns = [system.channel_names.index(name) for name in names]
-    modes = transient_modes(system, record.spin, 0.45 * run.sample_rate, with_derivatives=False)
+    modes = transient_modes(system, record.spin, 0.45 * sample_rate(run), with_derivatives=False)
     s, volts = modes.s[: modes.oscillating], modes.volts[columns, : modes.oscillating]
-    frequency, spectra = _tapered_spectra(read_channels(run, names, first, last), run.sample_rate)
+    frequency, spectra = _tapered_spectra(read_channels(run, names, first, last), sample_rate(run))
     noise = np.sqrt(channel_noise(CleanRecord(run, names, ((first, last),)), acquisition))
     usable = _between_harmonics(frequency, azimuths, record.spectra.interval)
     estimates = [

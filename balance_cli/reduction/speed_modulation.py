@@ -20,6 +20,7 @@ from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.harmonic_spectrum import CarrierEnvelopes, carrier_envelopes
 from balance_cli.signals.rotor.harmonics import Harmonics
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -80,12 +81,11 @@ def without_speed_modulation(
     `columns` are the places of the signals of `spectra` in the run: first the channels of `response`, then the loads.
     The past speed counts for `memory` [s].
     """
-    assert run.sample_rate is not None
     orders = range(1, len(spectra.frequency_hz))
     carriers = carrier_envelopes(azimuth, spectra, orders, memory)
     modulation = np.stack([_modulation(carriers, n - 1, spectra.amplitude[n], response) for n in orders], axis=1)
     curve = CubicSpline(carriers.time, modulation, axis=0)
-    source = ModulationRemoved(run.source, run.sample_rate, carriers.frequency, curve, columns)
+    source = ModulationRemoved(run.source, sample_rate(run), carriers.frequency, curve, columns)
     return replace(run, source=source)
 
 

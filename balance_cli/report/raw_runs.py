@@ -14,6 +14,7 @@ from balance_cli.report.number_format import join_names
 from balance_cli.report.plots import Marker, Plot, Trace, rotor_markers
 from balance_cli.report.sources import Sources
 from balance_cli.signals.amplitude_spectrum import amplitude_spectrum
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 
@@ -70,8 +71,7 @@ def _rotor_speed(run: Run) -> float:
 
 
 def _spectrum_plots(run: Run, blades: int) -> Iterator[Plot]:
-    assert run.sample_rate is not None
-    frequency, amplitude = amplitude_spectrum(run.read().channels, run.sample_rate)
+    frequency, amplitude = amplitude_spectrum(run.read().channels, sample_rate(run))
     size = -(-len(frequency) // LINES)
     count = len(frequency) // size
     lines = amplitude[: count * size].reshape(count, size, -1).max(axis=1)[1:]
@@ -84,13 +84,12 @@ def _spectrum_plots(run: Run, blades: int) -> Iterator[Plot]:
 
 
 def _record_plots(run: Run) -> Iterator[Plot]:
-    assert run.sample_rate is not None
     samples = run.read().channels
     edges = np.linspace(0, len(samples), min(BINS, len(samples)) + 1).astype(int)[:-1]
     count = np.diff(np.append(edges, len(samples)))[:, None]
     mean = np.add.reduceat(samples, edges) / count
     low, high = np.minimum.reduceat(samples, edges), np.maximum.reduceat(samples, edges)
-    x = (edges + 0.5 * count[:, 0]) / run.sample_rate
+    x = (edges + 0.5 * count[:, 0]) / sample_rate(run)
     for i, name in enumerate(run.channel_names):
         band = np.array([low[:, i], high[:, i]])
         trace = Trace(name, mean[:, i], BLUE, width=1.0, band=band, compact=True)
@@ -98,11 +97,10 @@ def _record_plots(run: Run) -> Iterator[Plot]:
 
 
 def _excerpt_plots(run: Run) -> Iterator[Plot]:
-    assert run.sample_rate is not None
-    length = int(REVOLUTIONS / _rotor_speed(run) * run.sample_rate) + 2
+    length = int(REVOLUTIONS / _rotor_speed(run) * sample_rate(run)) + 2
     start = max(0, (run.samples - length) // 2)
     samples = run.read(start, start + length).channels
-    x = (start + np.arange(len(samples))) / run.sample_rate
+    x = (start + np.arange(len(samples))) / sample_rate(run)
     pulses = run.pulse_times if run.pulse_times is not None else np.zeros(0)
     markers = tuple(Marker(float(pulse), "") for pulse in pulses if x[0] <= pulse <= x[-1])
     for i, name in enumerate(run.channel_names):

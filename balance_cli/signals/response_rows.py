@@ -15,6 +15,7 @@ from scipy.fft import next_fast_len, rfft
 
 from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -97,14 +98,13 @@ def _read(run: Run, channel_names: tuple[str, ...], start: int) -> tuple[Array, 
 
 
 def _dynamic_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | None:
-    assert run.sample_rate is not None
     start = max(int(START_SHARE * run.samples), run.samples - MOST_SAMPLES)
     samples = _fast_length(run.samples - start)
     if samples < FEWEST_SAMPLES:
         return None
     channels, loads = _read(run, channel_names, run.samples - samples)
     Y, U = _spectra(channels), _spectra(loads)
-    frequency = np.arange(len(U)) * run.sample_rate / samples
+    frequency = np.arange(len(U)) * sample_rate(run) / samples
     bands = np.full(len(U), -1)
     bands[2:] = np.round(np.log(frequency[2:]) / np.log(BAND_RATIO))
     parts = [_band_rows(j, frequency, bands, Y, U) for j in _driving_components(run, U)]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.run_samples import sample_rate
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -94,17 +95,15 @@ def _revolution_starts(azimuth: Azimuth) -> Array:
 
 def _points_per_revolution(run: Run, azimuth: Azimuth) -> int:
     """Return the number of points of comparison in a revolution, about one per sample."""
-    assert run.sample_rate is not None
-    return max(4, int(run.sample_rate / azimuth.mean_rate))
+    return max(4, int(sample_rate(run) / azimuth.mean_rate))
 
 
 def _resample_revolutions(
     run: Run, azimuth: Azimuth, names: tuple[str, ...], span: tuple[int, int], points: int
 ) -> Array:
     """Return the signals at equal steps of azimuth (revolutions, points, c), by a cubic spline through the samples."""
-    assert run.sample_rate is not None
     first, last = max(span[0], 0), min(span[1], azimuth.turns)
-    position = azimuth.time_of(first + np.arange((last - first) * points) / points) * run.sample_rate
+    position = azimuth.time_of(first + np.arange((last - first) * points) / points) * sample_rate(run)
     low, high = int(position[0]) - SPLINE_REACH, int(position[-1]) + SPLINE_REACH + 2
     samples = read_channels(run, names, max(low, 0), min(high, run.samples))
     samples = _extend(samples, max(-low, 0), max(high - run.samples, 0))

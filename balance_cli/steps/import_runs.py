@@ -20,6 +20,7 @@ from balance_cli.io.units import VOLTAGE
 from balance_cli.signals.impact import IMPACT, find_hits, has_hit
 from balance_cli.signals.rotor.pulse_consistency import speed_fault
 from balance_cli.signals.rotor.tachometer import RotorReference
+from balance_cli.signals.run_samples import sample_rate
 from balance_cli.steps.import_additions import addition_signals, additions_of
 from balance_cli.steps.import_excitation import excitation_signals
 from balance_cli.steps.import_labels import point_labels
@@ -233,11 +234,10 @@ def _with_pulses(run: Run, reference: RotorReference, stated: float | None, note
 
 def _hit_notes(run: Run) -> list[str]:
     """A note on the taps of each excited load."""
-    assert run.sample_rate is not None
     columns = [COMPONENTS.index(name) for name in run.excited]
     loads = np.concatenate([block.loads[:, columns] for block in run.blocks(BLOCK) if block.loads is not None])
     notes = [
-        find_hits(column, run.sample_rate).note if has_hit(column) else "no hit of the hammer stands out of the noise"
+        find_hits(column, sample_rate(run)).note if has_hit(column) else "no hit of the hammer stands out of the noise"
         for column in loads.T
     ]
     return [f"{name}: {note}" for name, note in zip(run.excited, notes, strict=True)]

@@ -20,6 +20,7 @@ from balance_cli.reduction.reliability import join_harmonics
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
+from balance_cli.signals.run_samples import sample_rate
 from balance_cli.steps.reduce import reduce_record
 
 Array = NDArray[np.float64]
@@ -39,8 +40,7 @@ def reduce_run_at_frequencies(
     regressed together. Raises UserError where two frequencies are closer than the record resolves, or as `reduce_run`.
     """
     given = sorted(set(frequencies))
-    assert run.sample_rate is not None
-    resolution = LEAST_SEPARATION * run.sample_rate / run.samples
+    resolution = LEAST_SEPARATION * sample_rate(run) / run.samples
     for low, high in pairwise(given):
         if high - low < resolution:
             fault = f"{low:g} and {high:g} Hz are closer than the record resolves, {resolution:.3g} Hz"
@@ -56,8 +56,7 @@ def reduce_run_at_frequencies(
 
 def with_pulses_at(run: Run, frequency: float) -> Run:
     """Return a run as if a rotor of constant speed `frequency` [Hz] had given a pulse at the first sample."""
-    assert run.sample_rate is not None
-    cycles = int((run.samples - 1) / run.sample_rate * frequency)
+    cycles = int((run.samples - 1) / sample_rate(run) * frequency)
     return replace(run, pulse_times=np.arange(cycles + 1) / frequency, rotor_speed=0.0)
 
 

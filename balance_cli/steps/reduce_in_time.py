@@ -44,6 +44,7 @@ from balance_cli.reduction.trust import flag_filter
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth
+from balance_cli.signals.run_samples import sample_rate
 from balance_cli.steps.reduce import reduce_record
 
 Array = NDArray[np.float64]
@@ -203,9 +204,8 @@ def _steady_record(
         return rotor_record(run, geometry, source, max_harmonic, remove_other_rotors=False), 0.0
     edges = [0, *(edge for gap in data_quality.gaps for edge in (gap.start, gap.stop)), run.samples]
     start, stop = max(zip(edges[::2], edges[1::2], strict=True), key=lambda part: part[1] - part[0])
-    assert run.sample_rate is not None
     part = excerpt_run(run, start, stop)
-    return rotor_record(part, geometry, source, max_harmonic, remove_other_rotors=False), start / run.sample_rate
+    return rotor_record(part, geometry, source, max_harmonic, remove_other_rotors=False), start / sample_rate(run)
 
 
 def _measured_system(

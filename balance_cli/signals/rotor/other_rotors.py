@@ -20,6 +20,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST, FITTED_HARMONICS
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 
@@ -124,8 +125,7 @@ def rotor_azimuth(run: Run, rotor: int) -> Azimuth:
     if times is None:
         remedy = "Reduce it with --frequencies or --band, or record the pulses"
         raise UserError("no 1/rev pulses", file, place, remedy)
-    assert run.sample_rate is not None
-    end = run.samples / run.sample_rate
+    end = run.samples / sample_rate(run)
     try:
         azimuth = azimuth_from_pulses(times[times <= end])
     except UserError as error:
@@ -170,8 +170,7 @@ def without_other_rotors(
         lines.append(own)
         confounded += [line for line in common if line.order <= n]
     coefficients = _fit_lines(run, azimuth, tuple(lines), first_revolution)
-    assert run.sample_rate is not None
-    source = LinesRemoved(run.source, run.sample_rate, tuple(lines), coefficients)
+    source = LinesRemoved(run.source, sample_rate(run), tuple(lines), coefficients)
     return replace(run, source=source), tuple(confounded)
 
 
@@ -185,8 +184,7 @@ def _require_coverage(run: Run, other: Azimuth, number: int, start: float, end: 
 
 def _highest_order(run: Run, azimuth: Azimuth) -> int:
     """Return the harmonics of a rotor that are fitted."""
-    assert run.sample_rate is not None
-    return min(FITTED_HARMONICS, int(BELOW_NYQUIST * run.sample_rate / 2.0 / azimuth.mean_rate))
+    return min(FITTED_HARMONICS, int(BELOW_NYQUIST * sample_rate(run) / 2.0 / azimuth.mean_rate))
 
 
 def _separable_lines(
@@ -218,17 +216,16 @@ def _joint_basis(lines: Sequence[RotorLines], time: Array) -> Array:
 
 def _fit_lines(run: Run, azimuth: Azimuth, lines: tuple[RotorLines, ...], first_revolution: int) -> Array:
     """Return the amplitudes (columns, channels and loads) of the lines, from a regression with the harmonics."""
-    assert run.sample_rate is not None
     reference = RotorLines(0, azimuth, tuple(range(1, _highest_order(run, azimuth) + 1)))
     start, end = (float(t) for t in azimuth.time_of(np.array([first_revolution, azimuth.turns])))
-    low, high = int(np.ceil(start * run.sample_rate)), min(int(end * run.sample_rate) + 1, run.samples)
+    low, high = int(np.ceil(start * sample_rate(run))), min(int(end * sample_rate(run)) + 1, run.samples)
     width = sum(item.columns for item in lines)
     columns = width + reference.columns + 1
     signals = len(run.channel_names) + (len(COMPONENTS) if run.has_loads else 0)
     gram, moment = np.zeros((columns, columns)), np.zeros((columns, signals))
     for begin in range(low, high, BLOCK):
         block = run.read(begin, min(begin + BLOCK, high))
-        time = (begin + np.arange(len(block.channels))) / run.sample_rate
+        time = (begin + np.arange(len(block.channels))) / sample_rate(run)
         basis = np.hstack([_joint_basis(lines, time), reference.basis(time), np.ones((len(time), 1))])
         weight = edge_weight(azimuth.extrapolated_count(time), first_revolution, azimuth.turns)
         values = block.channels if block.loads is None else np.hstack([block.channels, block.loads])

@@ -12,6 +12,7 @@ from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.io.errors import UserError
 from balance_cli.signals.amplitude_spectrum import normalize_channels
 from balance_cli.signals.rotor.spectral_floor import local_maxima, spectral_floor
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 
@@ -87,14 +88,13 @@ def speed_fault(rate: float, speed: float) -> str:
 def coverage_fault(run: Run) -> str:
     """Return what is wrong between the times of the pulses and the length of the record; empty where nothing is."""
     assert run.pulse_times is not None
-    assert run.sample_rate is not None
-    duration = run.samples / run.sample_rate
+    duration = run.samples / sample_rate(run)
     first, last = float(run.pulse_times[0]), float(run.pulse_times[-1])
     longest_interval = float(np.diff(run.pulse_times).max())
     covered = first <= UNCOVERED_SHARE * duration and duration - last <= UNCOVERED_SHARE * duration
     if covered and last - duration <= longest_interval:
         return ""
-    return f"the pulses cover {first:.4g} to {last:.4g} s of a record of {duration:.4g} s at {run.sample_rate:g} Hz"
+    return f"the pulses cover {first:.4g} to {last:.4g} s of a record of {duration:.4g} s at {sample_rate(run):g} Hz"
 
 
 def line_spacing(run: Run) -> tuple[float, float] | None:
@@ -140,8 +140,7 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
     Samples from `start` to `stop` [s]. The weight is the logarithm of the power over the floor, so that no single line
     decides.
     """
-    assert run.sample_rate is not None
-    first, last = int(start * run.sample_rate), min(int(stop * run.sample_rate), run.samples)
+    first, last = int(start * sample_rate(run)), min(int(stop * sample_rate(run)), run.samples)
     samples = last - first
     if samples < 64:
         return np.zeros(0), np.zeros(0), 1.0
@@ -157,5 +156,5 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
     peak = local_maxima(relative) & (relative > LINE_TO_FLOOR)
     index = np.flatnonzero(peak)
     index = index[np.argsort(-relative[index])][:STRONGEST_LINES]
-    step = run.sample_rate / samples
+    step = sample_rate(run) / samples
     return np.asarray(index * step), np.asarray(np.log(relative[index])), float(step)

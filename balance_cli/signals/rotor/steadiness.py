@@ -18,6 +18,7 @@ from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.line_sums import trigonometric_basis
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -73,10 +74,9 @@ def windowed_amplitudes(
     first, last = revolutions
     length = max(1, -(-(last - first) // TARGET_WINDOWS))
     edges = np.arange(first, last + 1, length)
-    assert run.sample_rate is not None
     times = azimuth.time_of(edges)
-    samples = np.ceil(times * run.sample_rate).astype(int)
-    psi, _ = azimuth.of_samples(run.sample_rate, int(samples[0]), int(samples[-1]))
+    samples = np.ceil(times * sample_rate(run)).astype(int)
+    psi, _ = azimuth.of_samples(sample_rate(run), int(samples[0]), int(samples[-1]))
     basis, signals = trigonometric_basis(psi, n), read_channels(run, names, samples[0], samples[-1])
     cuts = [slice(a, b) for a, b in pairwise((samples - samples[0]).tolist())]
     empty = np.zeros((0, n + 1, len(names)), complex)
