@@ -82,8 +82,8 @@ WITHOUT_MODEL = (
     type=InputFile(),
     multiple=True,
     metavar="OLD_CAL",
-    help="Say what changed since this calibration, coefficient by coefficient, with significance. Repeatable, the "
-    "oldest first: then also a control chart over all of them, with a test for drift.",
+    help="Report what changed since this calibration, by coefficient, with significance. Repeatable, the "
+    "oldest first: the output then includes a control chart over all of them, with a test for drift.",
 )
 @units_option
 @moment_center_option

@@ -46,7 +46,7 @@ EXIT_DISCREPANCY = 3
     default=300.0,
     show_default=True,
     metavar="SECONDS",
-    help="Computing time after which no effect is tried any more; the best model is written, and the notes say so.",
+    help="Computing time after which no further effect is tried; the best model is written, and a note says so.",
 )
 @click.option(
     "--suspect",
@@ -60,7 +60,7 @@ EXIT_DISCREPANCY = 3
     "excluded",
     multiple=True,
     metavar="NAME[@PLACE]",
-    help="Effect that is no candidate, at this place or at any (repeatable).",
+    help="Effect to leave out of the search, at this place or everywhere (repeatable).",
 )
 @click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
 @skip_bad_option
@@ -82,7 +82,7 @@ def command(
 
     Sweeps and static runs among RUN... are fitted; runs of other kinds are left out and named. The runs of --hold-out
     are used once, after the last decision; without any, the check runs among RUN... or one of the sweeps are kept aside
-    for it. MODEL is a physical model: computed, identified, or updated before. So is the updated model.
+    for it. MODEL is a physical model: computed, identified, or updated before. The updated model is physical, too.
     """
     from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text

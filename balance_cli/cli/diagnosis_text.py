@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors, Trial
     from balance_cli.estimation.identified_model import IdentifiedModel
 
-COLUMN_WIDTH = 9
+COLUMN_WIDTH = 11
 """Width of a component's column."""
 
 

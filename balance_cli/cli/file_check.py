@@ -14,6 +14,7 @@ from balance_cli.campaign.recording.load_table import is_point_table, read_load_
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.recording.table_geometry import read_table_head
+from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
@@ -187,7 +188,9 @@ def _describe_run(run: Run) -> str:
         return about + f"{run.samples} load points, trim `{run.trim}`"
     about += f"{run.samples / run.sample_rate:.4g} s at {run.sample_rate:g} Hz, rotor at {run.rotor_speed:g} Hz"
     if run.excited:
-        levels = ", ".join(f"{name} {level:g} rms" for name, level in zip(run.excited, run.level, strict=True))
+        levels = ", ".join(
+            f"{name} {level:g} {UNIT_OF.get(name, '')} rms" for name, level in zip(run.excited, run.level, strict=True)
+        )
         about += f", {run.excitation} of {levels}"
     return about
 

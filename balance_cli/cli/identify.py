@@ -160,4 +160,4 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
         for item in effect.parameters:
             yield f"   {item.name:<20} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}"
     for direction in model.unidentifiable:
-        yield f"not determined by the data alone: {direction}"
+        yield f"common change that only the declared tolerances determine: {direction}"

@@ -24,7 +24,7 @@ BLOCK_ROWS = 2**16
 
 @balance_command("import")
 @click.argument("files", type=InputFile(), nargs=-1, required=True, metavar="MAP FILE...")
-@click.option("--sketch", is_flag=True, help="Print a map of these files, to be completed; then there is no MAP.")
+@click.option("--sketch", is_flag=True, help="Print a draft map of the FILEs, to be completed; no MAP is given then.")
 @click.option(
     "-g", "--geometry", type=InputFile(), metavar="GEOMETRY", help="Geometry whose channels a sketch looks for."
 )
@@ -32,9 +32,9 @@ BLOCK_ROWS = 2**16
 def command(
     session: Session, files: tuple[Path, ...], sketch: bool, geometry: Path | None, output: Path | None
 ) -> None:
-    """Make run files of the files of other programs.
+    """Convert files of other programs to run files.
 
-    MAP is a YAML file that says which channel of the files is which, and what runs they are. CSV and other text, UFF 58
+    MAP is a YAML file that assigns the channels of the files and states which runs they are. CSV and other text, UFF 58
     and 58b, TDMS, MDF4, MAT, HDF5, WAV and Parquet are recognized by content. The 1/rev pulses are found in the signal
     of a tachometer, and channels of different rates are resampled.
     """

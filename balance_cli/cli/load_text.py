@@ -53,7 +53,9 @@ def trust_line(loads: RunLoads) -> str:
     flags = [word for row in loads.flags for word in row]
     counts = ", ".join(f"{word} ({count} of {len(flags)} rows)" for word, count in loads.flag_counts.items())
     worst = trust_word(SEPARATOR.join(flags))
-    return f"   trust: {worst}{f'; {counts}' if counts else ''}"
+    if list(loads.flag_counts) == [worst]:
+        return f"   trust: {counts}"
+    return f"   trust: {worst}{f': {counts}' if counts else ''}"
 
 
 def number_pair(value: float, sigma: float) -> tuple[str, str]:

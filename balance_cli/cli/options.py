@@ -116,7 +116,7 @@ def json_option(function: F) -> F:
 
 def verbose_option(function: F) -> F:
     """The options `-v/--verbose` and `-q/--quiet` of every command."""
-    text = "Say on stderr what is done and how long it takes; print the traceback of an internal error."
+    text = "Report steps and their times on stderr; print the traceback of an internal error."
     function = click.option("-v", "--verbose", is_flag=True, help=text)(function)
     text = "No text on stdout and no progress; warnings and errors are still printed."
     return click.option("-q", "--quiet", is_flag=True, help=text)(function)

@@ -53,7 +53,7 @@ class PlanFiles:
     type=click.Choice(AIMS),
     default="both",
     show_default=True,
-    help="Find effects, make the hub loads certain, or both.",
+    help="What to optimize: finding effects, a small sigma of the hub loads, or both.",
 )
 @click.option(
     "--level",
@@ -74,7 +74,7 @@ class PlanFiles:
     "--time-limit",
     type=NumberRange(min=0, min_open=True, max=1e6),
     metavar="SECONDS",
-    help="Finish with the best plan of the runs that were tried in so many seconds of computing.",
+    help="Computing time after which the best plan so far is written.",
 )
 @click.option(
     "--compare",
@@ -82,13 +82,13 @@ class PlanFiles:
     metavar="PLAN",
     help="Plan nothing: compare the runs given with this plan, run by run.",
 )
-@click.option("--points", type=click.IntRange(min=1), help="Plan a static schedule of so many load points instead.")
+@click.option("--points", type=click.IntRange(min=1), help="Plan a static schedule of this many load points instead.")
 @click.option(
     "--terms",
     type=click.Choice(TERM_SETS),
     default="quadratic",
     show_default=True,
-    help="Terms of the calibration model that a static schedule tells: loads; with squares and products; or all.",
+    help="Terms of the calibration model that a static schedule determines: loads; with squares and products; or all.",
 )
 @click.option(
     "--together", type=click.IntRange(1, 6), default=2, show_default=True, help="Loads at a time in a static schedule."
@@ -120,13 +120,13 @@ def command(
     skip_bad: bool,
     output: Path | None,
 ) -> None:
-    """Plan the sweeps that tell most of effects and hub loads in the time of a hall.
+    """Plan the sweeps that are most informative on effects and hub loads in the given hall time.
 
     MODEL is a model of `identify` or `diagnose`, RUN... are runs already made: their information counts, and their
     noise is that of the plan. Without them the geometry is taken as declared. Every run that could be made is simulated
     once, and its information on all parameters computed as `identify` and `diagnose` do. With --compare the runs are
-    those of a plan that was carried out. With --points the plan is a static schedule: load combinations that tell
-    the terms of the calibration model best, beside one load at a time.
+    those of a plan that was carried out. With --points the plan is a static schedule: the load combinations that
+    determine the terms of the calibration model best, compared with one load at a time.
     """
     from balance_cli.planning.detectability import DetectionLevel
     from balance_cli.steps.plan import PlanOptions

@@ -148,7 +148,7 @@ def command(
     through a model of the physical form. --history writes them; the table contains their harmonics.
 
     Of several runs, those that cannot be used are listed and skipped, with exit status 4. The loads do not depend on
-    the number of processes. After an interruption the same call goes on where it stopped.
+    the number of processes. After an interruption the same call resumes where it stopped.
     """
     batch = gather_batch_options(batch_parameters)
     skips = batch.skips(len(runs))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.load_text import load_lines, trust_line
 from balance_cli.cli.summary import SummaryOfEach
+from balance_cli.io.result_view import plural
 from balance_cli.io.run_messages import RunMessage, message_lines, name_runs
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, WITH_CARE, run_verdict
@@ -86,11 +87,11 @@ def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
 
 
 def reduction_text(loads: HubLoads) -> Iterator[str]:
-    """Yield one line per run; below it tests of the filter, errors of check runs, notes, and its loads.
+    """Yield one line per run; below it its loads and their trust, then errors of check runs and notes.
 
     Of more than MOST_IN_FULL runs only the verdicts are shown.
     """
-    yield f"{len(loads.runs)} runs reduced, {loads.response}"
+    yield f"{plural(len(loads.runs), 'run')} reduced, {loads.response}"
     if len(loads.runs) > MOST_IN_FULL:
         yield from _verdict_lines(loads.runs.values())
         return
@@ -98,6 +99,8 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
         yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_residual_test_text(run)}"
         if run.in_time is not None:
             yield f"   {_innovation_tests_text(run.in_time)}"
+        yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
+        yield trust_line(run)
         if run.check is not None:
             yield f"   error of the applied loads: {_percent(run.check.load_error)}"
             yield f"   interaction in the other loads: {_percent(run.check.interaction)}"
@@ -107,8 +110,6 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
             yield f"   {note}"
         if run.unnoticed_note:
             yield f"   {run.unnoticed_note}"
-        yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
-        yield trust_line(run)
 
 
 def _verdict_lines(runs: Iterable[RunLoads]) -> Iterator[str]:
@@ -127,8 +128,11 @@ def _verdict_lines(runs: Iterable[RunLoads]) -> Iterator[str]:
 def _residual_test_text(run: RunLoads) -> str:
     worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
     if math.isnan(run.redundancy[worst]):
-        return "response not tested: there are no redundant channels"
-    return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
+        return "no redundant channels test the response"
+    return (
+        f"chi2/dof of the residual test up to {run.redundancy[worst]:.3g} "
+        f"(harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
+    )
 
 
 def _innovation_tests_text(filter_result: TimeDomainResult) -> str:

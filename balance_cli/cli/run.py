@@ -13,6 +13,7 @@ from balance_cli.cli.errors import EXIT_RUNS_SKIPPED, EXIT_USER_ERROR
 from balance_cli.cli.options import InputFolder
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT, MODEL_FORMAT
+from balance_cli.io.result_view import plural
 
 if TYPE_CHECKING:
     from balance_cli.cli.pipeline.execution import Execution, Outcome
@@ -37,14 +38,14 @@ def command(
     dry_run: bool,
     output: Path,
 ) -> None:
-    """Do the whole chain on a campaign: from its run files to hub loads and a report.
+    """Run the whole chain on a campaign: from its run files to hub loads and a report.
 
     CAMPAIGN is a folder with run files (*.h5), or with folders of them, and a geometry (geometry.yaml or geometry.yml).
     Steps that the rig or the runs do not allow are left out and named. A step is done again only if the content of its
-    inputs changed; after an interruption the same call goes on where it stopped. The messages of a step are in
+    inputs changed; after an interruption the same call resumes where it stopped. The messages of a step are in
     RESULTS/logs.
 
-    At the end stand the loads of each run by the best response, and whether to trust them.
+    The output ends with the loads of each run by the best response, and a verdict on each run.
     """
     from balance_cli.cli.pipeline.execution import Execution
     from balance_cli.cli.pipeline.folder import locked_folder, write_input_list
@@ -105,7 +106,7 @@ class _ProgressLines:
         if outcome.detail:
             line += f": {outcome.detail}"
         if outcome.warnings:
-            line += f" ({outcome.warnings} warnings, see logs/{outcome.step}.txt)"
+            line += f" ({plural(outcome.warnings, 'warning')}, see logs/{outcome.step}.txt)"
         self._session.echo(line)
 
 

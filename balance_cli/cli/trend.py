@@ -48,12 +48,12 @@ def command(
 ) -> None:
     """Follow the loads of many runs over an attribute and over the campaign.
 
-    LOADS are .h5 files of `reduce`, from one day or many. Shown are the slopes of mean and blade harmonic over the
+    LOADS are .h5 files of `reduce`, from one day or many. Listed are the slopes of mean and blade harmonic over the
     attribute; runs that differ from their repeats, which are runs of the same attributes; and whether the residual test
     of the redundant channels worsens in the course of the runs, as it does when the model no longer holds.
 
     With --model and --records the eigenfrequencies are followed, too, as far as turbulence shows them between the
-    rotor harmonics of each run: they tell which mode a changed stiffness or mass has moved.
+    rotor harmonics of each run: they show which mode a changed stiffness or mass has moved.
     """
     from balance_cli.cli.trend_text import find_trends, trend_summary, trend_text
 

@@ -30,8 +30,10 @@ if TYPE_CHECKING:
 @click.option(
     "--every", type=NumberRange(0.05, 3600), default=0.5, show_default=True, help="Seconds between two looks."
 )
-@click.option("--once", is_flag=True, help="End when all files that are there are done.")
-@click.option("--idle", type=NumberRange(0.1), metavar="SECONDS", help="End when nothing new came for so long.")
+@click.option("--once", is_flag=True, help="End when all files in DIR are processed.")
+@click.option(
+    "--idle", type=NumberRange(0.1), metavar="SECONDS", help="End when no new file has appeared for this time."
+)
 @click.option(
     "--page-runs", type=click.IntRange(1, 1000), default=12, show_default=True, help="Newest runs on the page."
 )
@@ -52,12 +54,12 @@ def command(
 ) -> None:
     """Watch a folder: check and reduce each run as it appears, and keep a page with the newest loads.
 
-    A file is taken when its size and time no longer change, and it can be read. RESULTS then holds page.html, which a
-    browser loads again by itself, loads.h5 with all runs, and journal.jsonl with a line for each file: its loads and
+    A file is used when its size and time no longer change, and it can be read. RESULTS then holds page.html, which a
+    browser reloads by itself, loads.h5 with all runs, and journal.jsonl with a line for each file: its loads and
     whether to trust them, or why it was skipped. Files that cannot be used are skipped; one that changes is reduced
     again. A zero run serves the runs that come after it.
 
-    End it with Ctrl-C, --once or --idle. The same call goes on where it was.
+    End it with Ctrl-C, --once or --idle. The same call then resumes where it stopped.
     """
     from balance_cli.cli.pipeline.folder import locked_folder
 

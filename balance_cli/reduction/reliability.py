@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.reduction.weighted_least_squares import LoadEquations, residual_chi2
 
 Array = NDArray[np.float64]
@@ -40,17 +41,21 @@ class UnnoticedErrors:
     change: Array
 
     def describe(self, components: Sequence[str], size: Array, sigma: Array) -> str:
-        """Return sensors and loads that matter, in words, for loads of this size and sigma (h, m); empty without."""
+        """Return sensors and loads that matter, in words, for loads of this size and sigma (h, m); empty without.
+
+        Of each load the harmonic that changes most is named.
+        """
         share = np.where(self.change > NOTABLE_SIGMAS * sigma, self.change / np.where(size > 0.0, size, np.inf), 0.0)
         parts_by_sensor: dict[str, list[str]] = {}
         for j, component in enumerate(components):
-            n = int(np.argmax(share[:, j]))
-            if share[n, j] > NOTABLE_CHANGE:
-                part = f"{component} at harmonic {n + 1} by {100.0 * share[n, j]:.2g} %"
+            change = np.where(share[:, j] > NOTABLE_CHANGE, self.change[:, j], 0.0)
+            n, unit = int(np.argmax(change)), UNIT_OF.get(component, "")
+            if change[n] > 0.0:
+                part = f"{component} at harmonic {n + 1} by {change[n]:.2g} {unit} (load {size[n, j]:.2g} {unit})"
                 parts_by_sensor.setdefault(self.sensors[self.sensor[n, j]], []).append(part)
         return "; ".join(
-            f"an error in {sensor} that the redundancy does not show, {100.0 * SENSOR_ERROR:g} % at most, "
-            f"changes {', '.join(parts)}"
+            f"an error of up to {100.0 * SENSOR_ERROR:g} % in {sensor}, which the residual test does not show, changes "
+            f"{', '.join(parts)}"
             for sensor, parts in parts_by_sensor.items()
         )
 

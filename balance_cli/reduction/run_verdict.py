@@ -46,7 +46,7 @@ class RunVerdict:
     @property
     def sentence(self) -> str:
         """The verdict and its reasons as one sentence."""
-        because = f" because {'; '.join(self.reasons)}" if self.reasons else ""
+        because = f" because {'; '.join(self.reasons)}" if self.reasons else ": all loads were tested and are good"
         return f"{self.word[0].upper()}{self.word[1:]}{because}."
 
 

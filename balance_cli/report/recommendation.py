@@ -79,12 +79,12 @@ def reason_sentence(recommendation: Recommendation, sources: Sequence[Source[Hub
     if source.role in NEVER_BEFORE_MEASURED:
         reasons.append("no loads by a measured or fitted response were given")
     unusable = all(run_verdict(run).word == DO_NOT_USE for run in recommendation.runs.values())
-    words = "Do not use these loads, the best that were given" if unusable else "Recommended"
+    words = "Do not use these loads, the best that were given" if unusable else "Recommended loads"
     if not others:
         words = "Do not use these loads, the only ones given" if unusable else "The only loads given"
-    words += f": {source.label}"
+    words += f": by `{source.label}`"
     if recommendation.runs and others:
-        words += f", of {len(others) + 1} methods"
+        words += f", of {len(others) + 1} methods compared"
     return f"{words}. {capitalize_first('; '.join(reasons))}." if reasons else f"{words}."
 
 

@@ -85,10 +85,10 @@ def _residual_test_blocks(tested: Sequence[Source[HubLoads]], shown: Source[HubL
         if not any(np.isfinite(run.redundancy).any() for run in runs):
             return
     yield Paragraph(
-        "The residuals of redundant channels test the loads: of more cells than loads the response, of several "
-        "channels in one cell only these channels. As long as what they test "
-        "holds, they are within the noise (chi2 per degree of "
-        "freedom near 1). Where chi2 exceeds its 99.9 % point, the row is flagged and its sigma is widened."
+        "Redundant channels test the loads. Where there are more cells than loads, their residuals test the response; "
+        "several channels in one cell test only each other. While the response holds, the residuals are within the "
+        "noise, and chi2 per degree of freedom is near 1. Where chi2 exceeds its 99.9 % point, the row is flagged and "
+        "its sigma is enlarged."
     )
     yield from _residual_test_verdicts(tested, shown)
     yield Picture(

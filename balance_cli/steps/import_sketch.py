@@ -36,8 +36,8 @@ YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 SIMILARITY = 0.6
 """Share of equal characters (difflib) from which two names are taken as one."""
 KIND_NAMES = {
-    "static": ("static", "calib", "cal_", "cal-", "weights"),
-    "zero": ("zero", "tare", "windoff", "wind-off", "nullm"),
+    "static": ("static", "statisch", "calib", "kalib", "etalon", "cal_", "cal-", "weights"),
+    "zero": ("zero", "tare", "tara", "offset", "windoff", "wind-off", "nullm", "null_", "null-", "nullpunkt"),
     "sweep": ("sweep", "shake", "frf", "chirp", "random", "hammer", "impact"),
     "check": ("check", "known"),
     "wind": ("wind", "run", "hover", "test"),
@@ -204,7 +204,7 @@ def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
     if unit is None and agrees:
         yield "time_unit: s  # the head states the same rate"
     elif unit is None and (rate is None or 1.0 < rate < FASTEST_GUESS):
-        yield "time_unit: s  # TODO: the file states none"
+        yield "time_unit: s  # assumed: the file states no unit of its times"
     elif unit is None:
         yield f"time_unit: {UNFINISHED}  # s, ms, us, min or h: the file states none, and there are {rate:.6g} in one"
     if rate is not None and stated is not None and not agrees:

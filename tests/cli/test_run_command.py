@@ -64,7 +64,7 @@ def test_the_chain_ends_with_loads(results):
     assert set(steps.values()) == {"done"}
     assert summary["steps_left_out"] == {"transfer": "no sweep: no frequency response, and no model is identified"}
     assert summary["trust"] == {"check": "untested"}
-    assert "trust: untested" in text
+    assert "Use with care because no redundant sensor tests them (untested: " in text
     table = pd.read_csv(folder / "loads.csv").set_index("harmonic")
     assert list(table.columns[-4:]) == ["sigma_amplitude", "sigma_phase_deg", "method", "response"]
     assert (folder / "report.html").is_file()

@@ -71,7 +71,10 @@ def test_only_changes_that_matter_are_named():
     errors = UnnoticedErrors(("cell a", "torque meter"), np.array([[0, 1], [0, 1]]), np.array([[3.0, 0.1], [5.0, 9.0]]))
     size, sigma = np.full((2, 2), 20.0), np.array([[0.1, 0.1], [0.1, 5.0]])
     note = errors.describe(("Fx", "Mz"), size, sigma)
-    assert note == "an error in cell a that the redundancy does not show, 1 % at most, changes Fx at harmonic 2 by 25 %"
+    assert note == (
+        "an error of up to 1 % in cell a, which the residual test does not show, "
+        "changes Fx at harmonic 2 by 5 N (load 20 N)"
+    )
     assert errors.describe(("Fx", "Mz"), 100.0 * size, sigma) == ""
 
 

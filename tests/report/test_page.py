@@ -228,7 +228,7 @@ def test_the_first_section_says_of_every_run_whether_to_use_it_and_why():
     assert "z2 bridged" in texts(made, "warn")
     clean = replace(loads().runs["wind-1"], flags=(("",) * 6,) * 4, left_out={})
     table = verdict_table(summary_of(replace(loads(), runs={"wind-1": clean})))
-    assert (table.rows[0][1].text, table.rows[0][2].text) == ("none", "Use.")
+    assert (table.rows[0][1].text, table.rows[0][2].text) == ("none", "Use: all loads were tested and are good.")
 
 
 def test_nothing_gives_an_empty_report():

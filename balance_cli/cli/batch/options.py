@@ -91,6 +91,6 @@ _OPTIONS = (
         "--survey",
         type=OutputFile(),
         metavar="FILE",
-        help="Keep here what the headers of all runs state, for other shards: they read those of their own runs only.",
+        help="Keep the headers of all runs in FILE for other shards, which then read only those of their own runs.",
     ),
 )

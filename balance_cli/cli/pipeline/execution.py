@@ -130,8 +130,9 @@ class Execution:
         missing = [path for path in step.reads if path not in self.digests and path not in self.made]
         alternatives = step.reads_first_of or step.reads_if_there
         if missing or (alternatives and not set(alternatives) & set(self.made)):
-            lacking = missing[0].name if missing else "anything to show"
-            self._record(Outcome(step.name, NOT_DONE, detail=f"{lacking} was not made"))
+            needed = missing[:1] or alternatives
+            lacking = needed[0].name if len(needed) == 1 else "none of its inputs"
+            self._record(Outcome(step.name, NOT_DONE, detail=f"{lacking} was {'not ' * (len(needed) == 1)}made"))
             return True
         if not self._is_current(step):
             return False

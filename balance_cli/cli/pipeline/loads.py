@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from balance_cli.cli.load_text import load_lines, trust_line
+from balance_cli.cli.load_text import load_lines
 from balance_cli.cli.pipeline.steps import BEST_FIRST
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import SEPARATOR, trust_word
@@ -30,7 +30,7 @@ def best_loads(results: Path, outputs: list[Path]) -> tuple[Path, HubLoads] | No
 
 
 def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
-    """Yield the loads of each run with a line of trust."""
+    """Yield the loads of each run with its verdict."""
     if best is None:
         yield "no harmonic loads were reduced"
         return
@@ -39,7 +39,6 @@ def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
     for name, run in loads.runs.items():
         yield f"{name} ({run.kind}, 1/rev at {run.frequency_hz[1]:.4g} Hz)"
         yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
-        yield trust_line(run)
         yield f"   {run_verdict(run).sentence}"
 
 
