@@ -1,5 +1,6 @@
-"""What seems to be wrong with a whole load series: its loads in another unit or of the other sign, exchanged, or in
-reverse order, or two channels exchanged.
+"""What seems to be wrong with a whole load series.
+
+Its loads are in another unit or of the other sign, exchanged, or in reverse order, or two channels are exchanged.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Tares:
 
     @property
     def weight(self) -> float:
-        """W [N]."""
+        """Weight W [N] of the metric side."""
         return float(self.w[0])
 
     @property

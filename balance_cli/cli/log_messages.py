@@ -10,6 +10,8 @@ from balance_cli.cli.labels import echo_message
 
 
 class _StderrHandler(logging.Handler):
+    """Prints the messages of the log as the session prints its own."""
+
     def emit(self, record: logging.LogRecord) -> None:
         echo_message(record.levelname.lower(), self.format(record))
 

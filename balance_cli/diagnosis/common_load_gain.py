@@ -35,7 +35,7 @@ class CommonLoadGain:
 
     @property
     def note(self) -> str:
-        """One sentence."""
+        """The finding in one sentence."""
         names = ", ".join(self.components)
         size = f"{100.0 * self.error:.2g} %"
         return (

@@ -19,7 +19,7 @@ class Form(Protocol):
 
     @property
     def count(self) -> int:
-        """Ordinates."""
+        """Number of ordinates of the dataset."""
         ...
 
     @property
@@ -38,12 +38,12 @@ class Place(Protocol):
 
     @property
     def offset(self) -> int:
-        """First byte."""
+        """Position of the first byte of the data in the file."""
         ...
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Length of the data in bytes."""
         ...
 
 

@@ -49,6 +49,8 @@ MOST_MEMORY = 4 * 2**30
 
 @dataclass
 class _Child:
+    """The process that reads files: its id, the process that started it, and the pipes to and from it."""
+
     pid: int
     owner: int
     requests: BinaryIO

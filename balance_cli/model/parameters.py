@@ -52,6 +52,8 @@ class ParameterSet:
 
 @dataclass(frozen=True)
 class _ParameterRow:
+    """A parameter before it becomes a row of the table: its declared value and tolerance, and its lower bound."""
+
     name: str
     unit: str
     value: float

@@ -79,7 +79,7 @@ class _MeanForce:
 
     @property
     def description(self) -> str:
-        """One sentence."""
+        """The error in one sentence."""
         taken = f"a shift of {self.known:.2g} N is taken off" if self.known else "none of it is known"
         return f"nonlinear force at {self.place} in the mean loads: {taken}, {self.sigma:.2g} N is in sigma"
 

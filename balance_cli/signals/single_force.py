@@ -71,6 +71,8 @@ def _with_exact_loads(covariance: ComplexArray, response: ComplexArray, loads: i
 
 @dataclass(frozen=True)
 class _OneLoad:
+    """The samples of a run in which all loads but one column are zero."""
+
     parent: SampleSource
     column: int
 

@@ -27,7 +27,7 @@ class StaticWaveform:
 
     @property
     def frequency(self) -> Array:
-        """Zero (m,) [Hz]."""
+        """Frequency [Hz] of the m points, zero."""
         return np.zeros(len(self.volts))
 
     @property
@@ -67,7 +67,7 @@ class StaticWaveform:
         return 1.0
 
     def bin_frequency(self) -> Array:
-        """Zero (K,) [Hz]."""
+        """Frequency [Hz] of the K bins, zero."""
         return np.zeros(len(self.projection))
 
     def to_time_domain(self, amplitudes: ComplexArray) -> Array:

@@ -28,6 +28,8 @@ MOST_BYTES = 2**28
 
 @dataclass(frozen=True)
 class _Signals:
+    """Channels (n, c) [V] and loads (n, 6) of a sweep simulated at one level."""
+
     level: float
     volts: Array
     loads: Array

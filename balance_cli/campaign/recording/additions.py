@@ -118,6 +118,8 @@ class RunAdditions:
 
 @dataclass(frozen=True)
 class _ExcerptSource:
+    """The additions of a run from the sample `start` on."""
+
     parent: AdditionSource
     start: int
 

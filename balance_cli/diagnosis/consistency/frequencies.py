@@ -64,8 +64,9 @@ class FrequencyMismatch:
 
 
 def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry, system: System) -> FrequencyMismatch | None:
-    """Return how the sweeps contradict the computed responses of the geometry's system; None where they agree, or do
-    not say.
+    """Return how the sweeps contradict the computed responses of the geometry's system.
+
+    None where they agree, or determine too little.
     """
     sweeps = [run for run in runs if run.rows.kind == "sweep" and len(run.applied) == 1]
     sweeps = [run for run in sweeps if len(run.rows.frequency) >= FEWEST_ROWS and run.loads[:, run.applied[0]].all()]

@@ -50,9 +50,7 @@ def hub_shift(runs: Sequence[Evidence], size: float) -> Array | None:
 
 
 def _moved_force(run: Evidence, shift: Array) -> NDArray[np.complex128]:
-    """Return the change (l, c) of the residuals by the geometry, times their divisor, for a hub moved by `shift`
-    [m].
-    """
+    """Return the change (l, c) of the residuals, times their divisor, for a hub moved by `shift` [m]."""
     loads = run.loads[run.low]
     moments = np.cross(np.broadcast_to(shift, (len(loads), 3)), loads[:, :3])
     change = -np.einsum("kcj,kj->kc", run.computed[:, :, 3:], moments)

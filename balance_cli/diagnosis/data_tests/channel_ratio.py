@@ -1,4 +1,4 @@
-"""Two channels of one cell: is their ratio one, and if not, what does it look like?
+"""The ratio of two channels of one cell: whether it is one, and what makes it differ.
 
 At every line z = [y_A / g_A, y_B / g_B] = [1, r] s + noise, g being the declared dynamics and s the unknown force of
 the cell. s is eliminated like the loads of a fit: with e = z_B - r z_A and v = var e,

@@ -1,4 +1,4 @@
-"""Mains interference: do lines at the mains frequency and its multiples stand out from their neighbors?
+"""Mains interference: whether lines at the mains frequency and its multiples exceed their neighbors.
 
 In a window around a line a local rational model (see `signals.local.fit`) is fitted to all lines except those within
 one of the middle, and the departures of the excluded lines from it are measured. The same is done around neighboring

@@ -32,12 +32,12 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """NAME@PLACE,PLACE."""
+        """The name and the places of the effect, as NAME@PLACE,PLACE."""
         return self.placed_effect.label
 
     @property
     def effect(self) -> Effect:
-        """The effect itself."""
+        """The effect of the library that is placed here."""
         return self.placed_effect.effect
 
     def at_null(self, start: Mapping[str, float]) -> DeclaredEffect:

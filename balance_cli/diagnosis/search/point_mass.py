@@ -151,7 +151,7 @@ class _MassPlace:
 
     @property
     def values(self) -> tuple[float, float, float, float]:
-        """Mass and position."""
+        """The mass [kg] and its position [m]."""
         x, y, z = map(float, self.place)
         return self.mass, x, y, z
 

@@ -119,9 +119,7 @@ def _turning_points(path: Array) -> NDArray[np.intp]:
 
 
 def _play_at_turns(path: Array, distance: float) -> Array:
-    """The play operator (m,) at the turns of a path (m,): a chain of clamps is a clamp, so that all of them follow by
-    doubling (prefix scan).
-    """
+    """The play operator (m,) at the turns of a path (m,), by a prefix scan: a chain of clamps is a clamp."""
     low, high = path - distance, path + distance
     step = 1
     while step < len(path):

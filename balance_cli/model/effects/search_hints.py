@@ -61,7 +61,7 @@ class PointMassParameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Mass and position."""
+        """Names of the mass and of its position."""
         return (self.mass, *self.position)
 
 

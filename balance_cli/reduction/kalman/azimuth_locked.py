@@ -108,7 +108,7 @@ class AzimuthLockedFilter:
 
     @property
     def time_invariant(self) -> bool:
-        """False."""
+        """Always false: the matrices follow the azimuth."""
         return False
 
     def at(self, first: int, count: int = 1) -> SteadyMatrices:

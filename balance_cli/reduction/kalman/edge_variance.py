@@ -121,7 +121,7 @@ class _MatrixPowers:
         return rows
 
     def to_power(self, exponent: int) -> Array:
-        """Return L^exponent."""
+        """Return the power L^exponent (N, N) of the steady matrix of the recursion."""
         return self.after(np.eye(len(self._doubled[0])), exponent)
 
 

@@ -35,11 +35,11 @@ class TimeInvariantPredictor:
     F: Array
 
     def step(self, k: int, x: Array) -> Array:
-        """Return F x."""
+        """Return the state F x after step k, or a matrix of them."""
         return np.asarray(self.F @ x)
 
     def back(self, k: int, rho: Array) -> Array:
-        """Return F' rho."""
+        """Return the adjoint state F' rho before step k."""
         return np.asarray(self.F.T @ rho)
 
 
@@ -56,11 +56,11 @@ class AzimuthLockedPredictor:
         return F
 
     def step(self, k: int, x: Array) -> Array:
-        """Return F x."""
+        """Return the state F x after step k, or a matrix of them."""
         return np.asarray(self._at(k) @ x)
 
     def back(self, k: int, rho: Array) -> Array:
-        """Return F' rho."""
+        """Return the adjoint state F' rho before step k."""
         return np.asarray(self._at(k).T @ rho)
 
 

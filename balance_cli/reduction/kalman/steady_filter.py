@@ -43,12 +43,12 @@ class SteadyFilter:
 
     @property
     def outputs(self) -> Array:
-        """U (o, N)."""
+        """The matrix U (o, N) from the state to the outputs."""
         return self.model.U
 
     @property
     def time_invariant(self) -> bool:
-        """True."""
+        """Always true: the matrices are the same at every sample."""
         return True
 
     def at(self, first: int, count: int = 1) -> SteadyMatrices:

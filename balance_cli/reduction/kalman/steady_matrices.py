@@ -38,7 +38,7 @@ class SteadyMatrices:
 
     @property
     def outputs(self) -> Array:
-        """U (o, N)."""
+        """The matrix U (o, N) from the state to the outputs."""
         return self.model.U
 
     def output_variances(self, rows: Array) -> tuple[Array, Array]:

@@ -79,8 +79,9 @@ def _balance(window: int, values: ComplexArray) -> int:
 
 
 def _split_means(values: ComplexArray, splits: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Return the means (s, r) of amplitudes (w, r) before and after each split, and the standard error of a real
-    component of their difference.
+    """Return the means (s, r) of amplitudes (w, r) before and after each split, and the error of their difference.
+
+    The error is the standard error of a real component.
     """
     values = values - (middle := values.mean(axis=0))
     total, squares = np.cumsum(values, axis=0), np.cumsum(np.abs(values) ** 2, axis=0)
