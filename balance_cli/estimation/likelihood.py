@@ -33,7 +33,7 @@ from balance_cli.estimation.inner_products import (
     real_inner_product,
     weighted_squares,
 )
-from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones, tones_information
+from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, join_tones, mains_tones
 from balance_cli.estimation.prediction import BatchPrediction, predict_batch
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.shared_solutions import SharedSolutions
@@ -192,25 +192,18 @@ def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: Sys
 class BatchDerivatives:
     """One batch with its derivatives (K, c, p), those of the transients included.
 
-    `transient_terms` come from the elimination of the transients, `tone_terms` from the tones of the mains.
+    `further_terms` of gradient and information come from the elimination of the transients and from tones of the mains.
     """
 
     batch: Batch
     fit: BatchEvaluation
     derivatives: ComplexArray
-    transient_terms: tuple[TransientTerms, ...]
-    tone_terms: tuple[ToneTerms, ...]
+    further_terms: tuple[TransientTerms | ToneTerms, ...]
 
     def gradient(self) -> Array:
         """Half the gradient (p,) of chi-square."""
         gradient = -2.0 * real_inner_product(self.derivatives, self.fit.weighted[:, :, None])[:, 0]
-        gradient = gradient + sum(term.gradient for term in self.transient_terms)
-        return np.asarray(gradient + sum(term.gradient for term in self.tone_terms))
-
-    @property
-    def _further_terms(self) -> tuple[TransientTerms | ToneTerms, ...]:
-        """The terms of the information that the derivatives do not give."""
-        return (*self.transient_terms, *self.tone_terms)
+        return np.asarray(gradient + sum(term.gradient for term in self.further_terms))
 
     @cached_property
     def _shown(self) -> ParameterChannels:
@@ -224,7 +217,7 @@ class BatchDerivatives:
     def cross_information(self, rows: Index) -> Array:
         """The rows (f, p) of 2 Re sum dY* P dY."""
         information = 2.0 * product_with_derivatives(self.weighted(rows), self.derivatives, self._shown)
-        for term in self._further_terms:
+        for term in self.further_terms:
             information += term.information(rows, slice(None))
         return information
 
@@ -234,21 +227,21 @@ class BatchDerivatives:
         if self.derivatives.shape[2] < MANY_PARAMETERS:
             return self._block(every)
         information = 2.0 * information_product(self.derivatives, self.fit.precision)
-        for term in self.transient_terms:
+        for term in self.further_terms:
             information += term.information(every, every)
-        return information + tones_information(self.tone_terms) if self.tone_terms else information
+        return information
 
     def diagonal_blocks(self, blocks: Sequence[Index]) -> list[Array]:
         """The information of each block of parameters; those of a single parameter, which are many, all at once."""
         diagonal = 2.0 * weighted_squares(self.derivatives, self.fit.precision, self._shown)
-        for term in self._further_terms:
+        for term in self.further_terms:
             diagonal += term.diagonal()
         return [self._block(block) if len(block) > 1 else diagonal[block][:, None] for block in blocks]
 
     def _block(self, own: Index | slice) -> Array:
         """The information (q, q) of some parameters."""
         information = 2.0 * real_inner_product(self.derivatives[:, :, own], self.weighted(own))
-        for term in self._further_terms:
+        for term in self.further_terms:
             information = information + term.information(own, own)
         return np.asarray(information)
 
@@ -261,9 +254,9 @@ def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | No
     derivatives = channel_derivatives(batch, system, solution, fit)
     for transient in fit.transients:
         add_transient_derivatives(transient, derivatives[transient.lines])
-    tone_terms = tuple(tone.curvature(derivatives[tone.form.lines]) for tone in fit.mains_tones)
-    transient_terms = tuple(eliminate_transient(run, derivatives[run.lines]) for run in fit.transients)
-    return BatchDerivatives(batch, fit, derivatives, transient_terms, tone_terms)
+    tones = [tone.curvature(derivatives[tone.form.lines]) for tone in fit.mains_tones]
+    transients = [eliminate_transient(run, derivatives[run.lines]) for run in fit.transients]
+    return BatchDerivatives(batch, fit, derivatives, (*transients, *([join_tones(tones)] if tones else [])))
 
 
 def batch_curvature(batch: Batch, system: System, shared: SharedSolutions | None = None) -> Curvature:

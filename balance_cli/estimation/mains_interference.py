@@ -67,32 +67,33 @@ class LikelihoodForm:
 
 @dataclass(frozen=True)
 class ToneTerms:
-    """Terms of a tone that its derivatives do not give: half the `gradient` (p,), and the information of rank two.
+    """Terms of t tones that their derivatives do not give: half the `gradient` (p,), and information of rank two each.
 
-    The information is `missing` times the square of the derivative of the `power` (p,), less that of the `phase` (p,).
-    Kept as vectors: (p, p) for each tone in each run would be most of the memory of a score test.
+    The information is `missing` (t,) times the square of the derivative of the `power` (t, p), less that of the `phase`
+    (t, p). Kept as vectors: (p, p) for each tone in each run would be most of the memory of a score test.
     """
 
     gradient: Array
-    missing: float
+    missing: Array
     power: Array
     phase: Array
 
     def information(self, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of what is added to the information."""
-        of_power = self.missing * np.outer(self.power[rows], self.power[columns])
-        return np.asarray(of_power - np.outer(self.phase[rows], self.phase[columns]))
+        of_power = self.power[:, rows].T @ (self.missing[:, None] * self.power[:, columns])
+        return np.asarray(of_power - self.phase[:, rows].T @ self.phase[:, columns])
 
     def diagonal(self) -> Array:
         """The diagonal (p,) of what is added to the information."""
-        return np.asarray(self.missing * self.power**2 - self.phase**2)
+        return np.asarray(self.missing @ self.power**2 - np.sum(self.phase**2, axis=0))
 
 
-def tones_information(terms: Sequence[ToneTerms]) -> Array:
-    """The information (p, p) that several tones add, as one product."""
-    power, phase = (np.array(rows) for rows in zip(*((term.power, term.phase) for term in terms), strict=True))
-    missing = np.array([[term.missing] for term in terms])
-    return np.asarray(power.T @ (missing * power) - phase.T @ phase)
+def join_tones(terms: Sequence[ToneTerms]) -> ToneTerms:
+    """The terms of several tones in one, so that one product serves all of them."""
+    missing, power, phase = (
+        np.concatenate([getattr(term, name) for term in terms]) for name in ("missing", "power", "phase")
+    )
+    return ToneTerms(np.sum([term.gradient for term in terms], axis=0), missing, power, phase)
 
 
 @dataclass(frozen=True)
@@ -147,9 +148,9 @@ class MainsTone:
         power, frequency = self.interference.power.derivative, self.interference.frequency.derivative
         self._add_derivatives(derivatives, 0.5 * ratio * power)
         full = self.n**2 / (4.0 * (1.0 + self.power * self.n))
-        missing = max(full - 0.25 * ratio**2 * self.n, 0.0)
+        missing = np.array([max(full - 0.25 * ratio**2 * self.n, 0.0)])
         if self.power == 0.0:  # nothing is expected, and nothing known of the phase
-            return ToneTerms(0.5 * self.n * power, missing, power, np.zeros(len(power)))
+            return ToneTerms(0.5 * self.n * power, missing, power[None], np.zeros((1, len(power))))
         by_power = 0.5 * (self.n - ratio * float(unit @ self.form(self.columns, self.columns) @ self.expected))
         turn = self.form(self.derivative, self.columns)
         by_frequency = 0.5 * self.power * float(np.trace(turn)) - float(self.expected @ turn @ self.expected)
@@ -158,7 +159,7 @@ class MainsTone:
         # information stays positive.
         size = max(self.n, float(self.form(quadrature, quadrature)[0, 0]))
         phase = self.mean_resultant_length / np.sqrt(size) * self.form(quadrature, derivatives)[0]
-        return ToneTerms(by_power * power + by_frequency * frequency, missing, power, phase)
+        return ToneTerms(by_power * power + by_frequency * frequency, missing, power[None], phase[None])
 
     def _direction(self) -> Array:
         """Unit vector b / |b| (2,) of the most probable phase."""

@@ -59,7 +59,6 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         load_gain=constant(np.ones(6), p),
         load_delay=constant(np.zeros(6), p),
         exciter_mass=constant(np.zeros((6, 6)), p),
-        mixing=constant(np.eye(len(geometry.channels)), p),
         center=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
         freedom=tuple(free_index(geometry)),
         non_metric_motion=constant(np.zeros((6, n)), p),

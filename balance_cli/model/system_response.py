@@ -56,8 +56,7 @@ def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
 def response(system: System, solution: Solution) -> ComplexArray:
     """T (k, c, 6), volts per unit of the true hub loads, without the cross-axis matrix of an exciter."""
     volts = solution.gains[:, :, None] * solution.forces[:, system.springs_of_channels]
-    mixing = system.equations.mixing.value
-    return np.asarray(volts if np.array_equal(mixing, np.eye(len(mixing))) else mixing @ volts)
+    return _mix_channels(system, volts)
 
 
 def load_response(system: System, frequency: Array, spin: float = 0.0) -> ComplexArray:
@@ -70,8 +69,7 @@ def load_response(system: System, frequency: Array, spin: float = 0.0) -> Comple
         forces = solved_forces(system, frequency, spin)
     gains = channel_gains(system.equations.paths, frequency)
     volts = gains[:, :, None] * forces[:, system.springs_of_channels]
-    mixing = system.equations.mixing.value
-    return np.asarray(volts if np.array_equal(mixing, np.eye(len(mixing))) else mixing @ volts)
+    return _mix_channels(system, volts)
 
 
 def hub_motion(system: System, solution: Solution) -> ComplexArray:
@@ -100,7 +98,13 @@ def extra_forces(system: System, solution: Solution, index: Index, extra: Spring
 def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, ComplexArray]:
     """Volts (k, c, e) per unit of a force that acts along each spring, and of one that its channels read."""
     springs = system.springs_of_channels
-    gains, mixing = solution.gains[:, :, None], system.equations.mixing.value
+    gains = solution.gains[:, :, None]
     acting = gains * (solution.force_influence @ system.reactions.value)[:, springs]
     read = gains * system.equations.summation[springs]
-    return np.asarray(mixing @ acting), np.asarray(mixing @ read)
+    return _mix_channels(system, acting), _mix_channels(system, read)
+
+
+def _mix_channels(system: System, volts: ComplexArray) -> ComplexArray:
+    """Volts (k, c, ...) with the crosstalk of the channels; the same ones where there is none."""
+    mixing = system.equations.mixing.value
+    return volts if np.array_equal(mixing, np.eye(len(mixing))) else np.asarray(mixing @ volts)

@@ -131,6 +131,18 @@ def test_gain_with_bounds_is_the_best_that_is_allowed():
     assert gain < s @ np.linalg.solve(V, s)
 
 
+@pytest.mark.parametrize("s", [-2.0, 1.5])
+@pytest.mark.parametrize("bounds", [(False, False), (True, False), (False, True)])
+def test_gain_of_one_parameter_is_that_beside_one_without_information(s, bounds):
+    lower, upper = (np.array([bound, False]) for bound in bounds)
+    alone = best_gain(np.array([s]), np.array([[4.0]]), lower[:1], upper[:1], SETTINGS.score.min_information_share)
+    gain, used, step = best_gain(
+        np.array([s, 0.0]), np.diag([4.0, 0.0]), lower, upper, SETTINGS.score.min_information_share
+    )
+    assert alone.gain == pytest.approx(gain)
+    assert (alone.directions, alone.step[0]) == (used, pytest.approx(step[0]))
+
+
 def test_a_score_is_what_a_refit_gains(late):
     model, batches = balance_model(RIG), lines_of(late)
     fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)

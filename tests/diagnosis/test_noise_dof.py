@@ -31,9 +31,9 @@ def run_information(slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: 
     (batch,) = stack_runs([lines], [], CHANNELS)
     flat = slopes.reshape(-1, slopes.shape[2])
     information = flat.T @ flat
-    blocks = tuple(np.diag(information)[1:, None, None])
+    diagonal = np.diag(information)[1:]
     weighted = slopes.astype(complex) if parts else None
-    return RunInformation(batch, np.zeros(len(information)), information[:1], blocks, weighted)
+    return RunInformation(batch, np.zeros(len(information)), information[:1], diagonal, diagonal, weighted)
 
 
 INVERSE = 1.0 - 3.0 / 30.0

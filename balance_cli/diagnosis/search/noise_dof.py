@@ -31,14 +31,16 @@ Index = NDArray[np.intp]
 class RunInformation:
     """Half the `gradient` (p,) of chi-square of one run, and parts of its information matrix.
 
-    `cross` (f, p): rows of the fitted parameters; `blocks` (q, q): diagonal blocks of the candidates. `weighted`: the
-    weighted derivatives P dY (K, c, p), kept only where the noise has parts.
+    `cross` (f, p): rows of the fitted parameters; `blocks`: the elements of the diagonal blocks (q, q) of all
+    candidates in turn, of which `diagonal` (n,) are on the diagonal. `weighted`: the weighted derivatives P dY (K, c,
+    p), kept only where the noise has parts.
     """
 
     batch: Batch
     gradient: Array
     cross: Array
-    blocks: tuple[Array, ...]
+    blocks: Array
+    diagonal: Array
     weighted: ComplexArray | None
 
     @classmethod
@@ -46,17 +48,18 @@ class RunInformation:
         cls, batch: Batch, derivatives: BatchDerivatives, fitted: Index, tested: Sequence[Index]
     ) -> RunInformation:
         """Return the information of a batch of one run."""
-        blocks, cross = tuple(derivatives.diagonal_blocks(tested)), derivatives.cross_information(fitted)
+        blocks, cross = derivatives.diagonal_blocks(tested), derivatives.cross_information(fitted)
+        elements = np.concatenate([block.reshape(-1) for block in blocks])
+        diagonal = np.concatenate([block.reshape(-1)[:: len(block) + 1] for block in blocks])
         weighted = derivatives.weighted() if batch.runs[0].noise_parts else None
-        return cls(batch, derivatives.gradient(), cross, blocks, weighted)
+        return cls(batch, derivatives.gradient(), cross, elements, diagonal, weighted)
 
     def variance(self, fitted: Index, tested: Index, projection: Array) -> Array:
         """Return the run's contribution (n,) to the variance of each score.
 
         `tested` (n,): parameters of all candidates in turn; `projection` (f, n): change of the fitted ones with them.
         """
-        diagonal = np.concatenate([np.diag(block) for block in self.blocks])
-        variance = diagonal - 2.0 * np.sum(projection * self.cross[:, tested], axis=0)
+        variance = self.diagonal - 2.0 * np.sum(projection * self.cross[:, tested], axis=0)
         variance += np.sum(projection * (self.cross[:, fitted] @ projection), axis=0)
         return np.asarray(np.maximum(variance, 0.0))
 

@@ -61,7 +61,9 @@ def project_out_fitted(
     prior, runs = prior_curvature(model.parameters, null), _run_information(model, null, batches, indices)
     gradient = sum((run.gradient for run in runs), prior.gradient)
     cross = sum((run.cross for run in runs), prior.information[indices.fitted])
-    blocks = [sum(parts, np.zeros_like(parts[0])) for parts in zip(*(run.blocks for run in runs), strict=True)]
+    sizes = [len(tested) for tested in indices.tested]
+    elements = np.split(np.sum([run.blocks for run in runs], axis=0), np.cumsum(np.square(sizes))[:-1])
+    blocks = [each.reshape(q, q) for each, q in zip(elements, sizes, strict=True)]
     inverse = covariance_from_information(cross[:, indices.fitted])
     among = cross[:, indices.fitted]
     step = solve_refined(inverse, among, gradient[indices.fitted])

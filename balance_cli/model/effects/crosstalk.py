@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, ordered_pairs
 from balance_cli.model.mechanics.dual_numbers import Dual
-from balance_cli.model.mechanics.equations import Equations
+from balance_cli.model.mechanics.equations import Crosstalk, Equations
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
@@ -28,11 +28,8 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     to, source = (equations.channel_names.index(name) for name in where)
-    fraction, value, derivative = values["fraction"], equations.mixing.value.copy(), equations.mixing.derivative.copy()
-    # One entry: a rig with many channels has hundreds of places, and as many parameters.
-    value[to, source] += fraction.value
-    derivative[:, to, source] += fraction.derivative
-    return replace(equations, mixing=Dual(value, derivative))
+    item = Crosstalk(to, source, values["fraction"])
+    return replace(equations, crosstalk=(*equations.crosstalk, item))
 
 
 EFFECT = Effect(

@@ -101,8 +101,9 @@ class Dual:
 
     def insert_axis(self, axis: int) -> Dual:
         """A new axis of length one; `axis` counts as in the value, negative from its end."""
-        at = axis if axis < 0 else axis + 1
-        return Dual(np.expand_dims(self.value, axis), np.expand_dims(self.derivative, at))
+        shape = list(self.value.shape)
+        shape.insert(axis if axis >= 0 else len(shape) + 1 + axis, 1)
+        return Dual(self.value.reshape(shape), self.derivative.reshape(self.parameters, *shape))
 
     def dot(self, array: Array) -> Dual:
         """Product summed over the last axis and the first axis of a constant array."""

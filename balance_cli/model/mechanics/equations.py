@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,15 @@ class ChannelDistortion:
 
 
 @dataclass(frozen=True)
+class Crosstalk:
+    """The `fraction` of the volts of channel `source` (its index) that is added to those of channel `to`."""
+
+    to: int
+    source: int
+    fraction: Dual
+
+
+@dataclass(frozen=True)
 class InterferenceTone:
     """A tone in one channel (its index): amplitude squared [V2] and frequency [Hz]; its phase differs in each run."""
 
@@ -123,15 +133,15 @@ class Equations:
       (e,): the relative increase of stiffness for each factor e of frequency.
     - `extra_readings` (e, n): forces that the channels of a spring read in addition to its own.
     - `exciter_cross_axis` (6, 6) transforms the loads that exciters apply, as measured, to true ones, and
-      `weight_cross_axis` (6, 6) those of static runs; `mixing` (c, c) acts on the channels' volts.
+      `weight_cross_axis` (6, 6) those of static runs.
     - The exciters' force cells read `load_gain` (6,) times their loads, late by `load_delay` (6,) [s]; while an
       exciter is attached, its row of `exciter_mass` (6, 6) [kg, kg m2] moves with the hub along the six components
       (see `model.exciter_loads`).
     - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
       are; `non_metric_motion` (6, n): motion x y z psi theta phi of the non-metric side at the rig's origin.
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
-    - `forces` act along springs, `distortions` and `interference_tones` in channels; `channel_offset` (c,) [V] and
-      `load_offset` (6,) [N, N m] are added to the readings of the channels and of the exciters' force cells.
+    - `forces` act along springs, `distortions`, `crosstalk` and `interference_tones` in channels; `channel_offset` (c,)
+      [V] and `load_offset` (6,) [N, N m] are added to the readings of the channels and of the exciters' force cells.
     - `sums` and `point_motions` are the springs without stiffness.
     - `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its motions, both (f, f).
     """
@@ -154,7 +164,6 @@ class Equations:
     load_gain: Dual
     load_delay: Dual
     exciter_mass: Dual
-    mixing: Dual
     center: Dual
     freedom: tuple[int, ...]
     non_metric_motion: Dual
@@ -164,6 +173,7 @@ class Equations:
     load_offset: Dual
     forces: tuple[CellForce, ...] = ()
     distortions: tuple[ChannelDistortion, ...] = ()
+    crosstalk: tuple[Crosstalk, ...] = ()
     interference_tones: tuple[InterferenceTone, ...] = ()
     sums: tuple[SpringSum, ...] = ()
     point_motions: tuple[PointMotion, ...] = ()
@@ -189,6 +199,16 @@ class Equations:
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels in order."""
         return tuple(path.channel for path in self.paths)
+
+    @cached_property
+    def mixing(self) -> Dual:
+        """The matrix (c, c) that acts on the channels' volts: one, with the crosstalk beside its diagonal."""
+        c = len(self.paths)
+        value, derivative = np.eye(c), np.zeros((self.parameters, c, c))
+        for item in self.crosstalk:
+            value[item.to, item.source] += item.fraction.value
+            derivative[:, item.to, item.source] += item.fraction.derivative
+        return Dual(value, derivative)
 
     def cross_axis(self, is_static: bool) -> Dual:
         """The matrix (6, 6) from recorded loads to true ones, of static runs or of those with exciters."""
