@@ -81,7 +81,7 @@ def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
 
     geometry = one_degree_of_freedom()
     effect = DeclaredEffect(name="cubic-stiffness", where=("z",), parameters={"k3": 4e10, "side": "beside"})
-    plan = SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), excitation="random", period=20.0, periods=2)
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), excitation="random", period=10.0, periods=2)
     run, _ = simulate_run(apply_effects(true_rig(geometry), [effect]), plan, Noise(), seed=5)
     knowing = computed(geometry.model_copy(update={"effects": (effect,)}))
     found = hold_out_errors(run, computed(geometry), knowing)
