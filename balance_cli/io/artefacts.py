@@ -121,6 +121,11 @@ def _root_attributes(format: str, digest: str, provenance: Provenance) -> dict[s
     }
 
 
+def _other_file(path: Path) -> str:
+    """Return the remedy for a file that is not an artefact: tables of loads are results for other programs."""
+    return "Give the result as .h5, not its table" if path.suffix.lower() == ".csv" else "Give another file"
+
+
 def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
     """Read an artefact of one of the formats in `types` (format -> dataclass).
 
@@ -130,9 +135,7 @@ def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
     require_file(path)
     expected = " or ".join(f"`{format}`" for format in types)
     if sniff_format(path) not in types or not is_hdf5(path):
-        raise UserError(
-            f"is {describe_file(path)}, where {expected} was expected", str(path), remedy="Give another file"
-        )
+        raise UserError(f"is {describe_file(path)}, where {expected} was expected", str(path), remedy=_other_file(path))
     stored = read_stored(path)
     with _damage_as_user_error(path):
         content = from_tree(stored.tree, types[stored.format])

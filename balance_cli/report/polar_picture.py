@@ -17,8 +17,8 @@ from balance_cli.report.number_format import format_fixed, value_and_sigma_text
 SIZE, RADIUS = 170.0, 62.0
 MOST_NAMES = 4
 """Runs that the legend has room for; the pointer names the others."""
-SMALLEST_DOT = 2.6
-"""Radius of a point [px] where its sigma is smaller."""
+DOT = 2.6
+"""Radius of a point [px]."""
 LETTER = 4.9
 """Mean width of a letter of the legend [px at a font of 9 px], digits and hyphens included."""
 LEGEND_LINE = 11.0
@@ -39,7 +39,7 @@ def polar_picture(runs: dict[str, RunLoads], blades: int, label: str) -> Picture
     )
     caption = (
         f"Harmonics by {label} as vectors A exp(j phase), load = A cos(n azimuth + phase): phase counts from the "
-        "right, anticlockwise. The disk of a point has the radius of one sigma, where that is large enough to be seen."
+        "right, anticlockwise. A shaded disk has the radius of one sigma, where that exceeds the point."
     )
     return Picture("polar", caption, f'<div class="shapes">{markup}</div>')
 
@@ -54,7 +54,8 @@ def _points(runs: dict[str, RunLoads], name: str, n: int) -> Iterator[tuple[str,
 
 
 def _polar_svg(title: str, unit: str, points: list[tuple[str, str, complex, float]]) -> str:
-    largest = max((abs(value) for _, _, value, _ in points if np.isfinite(value)), default=0.0) or 1.0
+    reaches = (abs(value) + np.nan_to_num(sigma) for _, _, value, sigma in points if np.isfinite(value))
+    largest = max(reaches, default=0.0) or 1.0
     scale, middle = RADIUS / largest, SIZE / 2
     parts = [
         f'<circle class="grid" fill="none" cx="{middle:g}" cy="{middle:g}" r="{share * RADIUS:g}"/>'
@@ -66,13 +67,13 @@ def _polar_svg(title: str, unit: str, points: list[tuple[str, str, complex, floa
         if not np.isfinite(value):
             continue
         x, y = middle + scale * value.real, middle - scale * value.imag
-        radius = max(scale * sigma, SMALLEST_DOT) if np.isfinite(sigma) else SMALLEST_DOT
         size, spread = value_and_sigma_text(abs(value), sigma)
         phase = format_fixed(float(np.degrees(np.angle(value))), 1)
         words = f"{run}: {size} \N{PLUS-MINUS SIGN} {spread} {unit}, {phase}°"
         parts.append(
-            f'<g stroke="{color}" fill="{color}"><path d="M{middle:g} {middle:g}L{x:.1f} {y:.1f}"/>'
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"><title>{escape(words)}</title></circle></g>'
+            f'<g stroke="{color}" fill="{color}">{_sigma_disk(x, y, scale * sigma)}'
+            f'<path d="M{middle:g} {middle:g}L{x:.1f} {y:.1f}"/>'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{DOT:g}"><title>{escape(words)}</title></circle></g>'
         )
     finite = [(run, color) for run, color, value, _ in points if np.isfinite(value)]
     legend, lines = _legend(finite[:MOST_NAMES])
@@ -83,6 +84,13 @@ def _polar_svg(title: str, unit: str, points: list[tuple[str, str, complex, floa
         f'<text x="4" y="10" font-weight="600">{escape(title)}, radius {largest:.4g} {escape(unit)}</text>'
         f"{''.join(parts)}{legend}</svg>"
     )
+
+
+def _sigma_disk(x: float, y: float, radius: float) -> str:
+    """Return a shaded disk of one sigma about a point, empty where the point covers it or sigma is not known."""
+    if not (np.isfinite(radius) and radius > DOT):
+        return ""
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" stroke="none" fill-opacity="0.18"/>'
 
 
 def _legend(entries: Sequence[tuple[str, str]]) -> tuple[str, int]:

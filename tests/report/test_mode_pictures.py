@@ -42,8 +42,11 @@ def test_a_vector_of_the_polar_plot_points_along_its_phase():
     run = loads().runs["wind-1"]
     markup = polar_picture({"wind-1": run}, 3, "a").markup
     x, y = map(float, re.search(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="[\d.]+"><title>', markup).groups())
-    angle = np.angle(run.amplitude[1, 0])
-    np.testing.assert_allclose([x - 85.0, 85.0 - y], 62.0 * np.array([np.cos(angle), np.sin(angle)]), atol=0.06)
+    value = run.amplitude[1, 0]
+    sigma = max(run.sigma_cosine[1, 0], run.sigma_sine[1, 0])
+    radius = 62.0 * abs(value) / (abs(value) + sigma)  # the circle of one sigma about the point is within the plot
+    angle = np.angle(value)
+    np.testing.assert_allclose([x - 85.0, 85.0 - y], radius * np.array([np.cos(angle), np.sin(angle)]), atol=0.06)
     assert "Fx 3/rev" in markup and "Mz 1/rev" in markup
 
 
