@@ -20,6 +20,7 @@ SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal
 """Signals that end the program, and the message of each. Not every system has SIGHUP."""
 HELP_OPTIONS = {"-h", "--help", "-V", "--version"}
 EXIT_INTERRUPTED = 130
+"""128 and the number of SIGINT, as shells report it."""
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ INDEXED_ROWS = 8192
 SCANNED_BYTES = 2**22
 """Bytes searched for line ends at a time: the positions found take up to four times as much."""
 TAIL_BYTES = 4096
+"""Bytes read at a time from the end of a file backward: a row is shorter."""
 
 
 @dataclass(frozen=True)

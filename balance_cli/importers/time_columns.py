@@ -16,6 +16,7 @@ TIME_NAME = re.compile(r"^(?:.*/)?(time|zeit|temps|timestamp|x[ _]value|t)([\W_\
 LARGEST_UNEVENNESS = 0.6
 """Of the mean step: rounded times scatter by half of one."""
 FEWEST_TIMES = 3
+"""Times whose two steps can be compared."""
 
 
 def time_columns(

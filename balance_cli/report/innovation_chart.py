@@ -19,6 +19,7 @@ LIMIT_SIGMAS = 1.96
 SMALLEST_AXIS = 0.05
 """Half height of the axes where all autocorrelations are small: the level above which a record counts as not steady."""
 PLOT_HEIGHT = 180
+"""Height [px] of the plot of one run: a dozen runs fit a page."""
 
 
 def innovation_chart(sources: Sequence[Source[HubLoads]]) -> Chart | None:

@@ -27,7 +27,9 @@ REVOLUTIONS = 4
 LINES = 1200
 """Lines of a spectrum; of a finer one the largest of neighboring lines is drawn, so that no peak is lost."""
 MOST_MARKERS = 40
+"""Harmonics of the rotor that are marked: more of them hide the spectrum."""
 CHANNEL_HEIGHT = 130
+"""Height [px] of the plot of one channel."""
 
 
 def section(sources: Sources) -> Section | None:

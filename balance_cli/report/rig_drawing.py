@@ -19,8 +19,8 @@ PROJECTION = np.array([[0.87, -0.5, 0.0], [0.25, 0.43, -0.87]])
 """View from the front, the right and above; z goes up, so it is negative in the picture."""
 CELL_LENGTH = 0.22
 """Length of a cell in the picture, as a share of the rig's extent: its own length is not declared."""
-RIG_SIZE, RIG_MARGIN = 460.0, 46.0
-AXES_LENGTH = 34.0
+RIG_SIZE, RIG_MARGIN, AXES_LENGTH = 460.0, 46.0, 34.0
+"""Width of the picture, its margin, which holds the labels, and length of the axes beside it [px]."""
 
 
 @dataclass(frozen=True)

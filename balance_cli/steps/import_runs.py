@@ -34,7 +34,9 @@ Array = NDArray[np.float64]
 KINDS_WITH_LOADS = ("static", "sweep", "check")
 KINDS_WITH_ROTOR = ("check", "wind")
 BLOCK = 65536
+"""Samples that are held at once: 16 MB with 32 signals."""
 LEVEL_DIGITS = 6
+"""Significant digits of a measured level, more than any force cell has."""
 
 
 @dataclass(frozen=True)

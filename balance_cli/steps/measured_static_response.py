@@ -21,6 +21,7 @@ BELOW_LOWEST_MODE = 0.5
 """Share of the computed lowest frequency up to which lines are used: there T(0) + a f^2 leaves the fourth power of it,
 6 % of T(0), and by far less where the lines begin lower."""
 LEAST_LINES = 3
+"""One more than the two coefficients of a channel, so that no single line decides."""
 
 
 def measured_static_response(source: TransferSource, geometry: Geometry) -> tuple[Array, Array, Array] | None:

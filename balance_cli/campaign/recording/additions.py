@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 FORCE, POSITION, TEMPERATURE = "load_points/force", "load_points/position", "temperature"
 """Datasets with a row for each sample."""
 BLOCK = 65536
+"""Samples that are held at once."""
 
 
 class AdditionSource(Protocol):

@@ -15,6 +15,7 @@ from balance_cli.io.errors import UserError
 
 F = TypeVar("F", bound=Callable[..., Any])
 MOST_JOBS = 256
+"""Worker processes; a greater number is taken for a typing error."""
 
 
 @dataclass(frozen=True)
