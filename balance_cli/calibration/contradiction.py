@@ -60,7 +60,7 @@ def undecided_error(points: CalibrationPoints, rivals: Sequence[LoadSeriesRows])
     loaded = np.any([np.ptp(points.x[each.rows], axis=0) > 0.0 for each in rivals], axis=0)
     loads = ", ".join(name for name, is_loaded in zip(points.components, loaded, strict=True) if is_loaded)
     return UserError(
-        f"contradict each other in the sign or the size of {loads}, and no other load series tells which is wrong",
+        f"contradict each other in the sign or the size of {loads}, and no other load series shows which is wrong",
         names,
         remedy="Correct the loads or the readings of the wrong one, leave it out, or declare the mechanics of the rig",
     )

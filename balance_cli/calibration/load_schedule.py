@@ -109,7 +109,7 @@ def _open_questions(schedule: LoadSchedule) -> Iterator[str]:
         if not schedule.alone[j]:
             yield f"{name} was never applied alone: its effect rests on the separation from the loads beside it."
         if schedule.levels[j] < 4:
-            yield f"{name} has {schedule.levels[j]} levels: its nonlinearity cannot be told apart, or not tested."
+            yield f"{name} has {schedule.levels[j]} levels: its nonlinear terms cannot be separated or tested."
         if schedule.series[j] == 1 and schedule.series_count > 1:
             yield f"{name} is varied in one load series only: no other series can confirm its coefficients."
         if schedule.inflation[j] > HIGH_INFLATION:

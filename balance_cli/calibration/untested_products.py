@@ -225,7 +225,7 @@ def untested_components(components: Sequence[str], variance: Array, tested: Arra
 def describe_untested(untested: UntestedProducts, loads: Array, components: Sequence[str]) -> str:
     """A sentence on the products that matter at loads (k,), and the components that they make uncertain."""
     return (
-        "the calibration has nonlinear terms, but its load series do not tell "
+        "the calibration has nonlinear terms, but its load series do not determine "
         f"{', nor '.join(untested.describe(loads))}: sigma of {', '.join(components)} at these combined loads "
         "includes their probable size. Calibrate with combined loads"
     )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.load_components import FullScale
 
 RANDOM_TERMS_TEXT = (
-    "loads by all |F|, F^2, F|F| and F G that the rows tell, each shrunk by the variance of its family: more likely "
+    "loads by all |F|, F^2, F|F| and F G that the rows show, each shrunk by the variance of its family: more likely "
     "than the significant terms alone"
 )
 """What computes the loads where the significant terms do not."""
@@ -76,7 +76,7 @@ def _confounded_terms(all_trims: AllTrimsCalibration) -> Iterator[str]:
     ]
     if names:
         yield (
-            f"--terms: these loads hardly tell {', '.join(names)} from each other: variance inflation up to "
+            f"--terms: these loads hardly separate {', '.join(names)} from each other: variance inflation up to "
             f"{inflation.max():.2g}, of which a search takes {MAX_INFLATION:.0f} at the most; leave some out"
         )
 
@@ -120,7 +120,7 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
     if np.isfinite(trim.lack_of_fit):
         yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
     else:
-        yield "  residual over noise not known: the rows do not tell their noise; sigma rests on the residual"
+        yield "  residual over noise not known: the rows do not show their noise; sigma is that of the residual"
     full_scale_words = "calibrated range" if trim.rated_load is None else "rated load, where one is declared"
     yield f"  component  cal. range  full scale   residual % FS   hysteresis % FS   (full scale: {full_scale_words})"
     for j, name in enumerate(trim.components):

@@ -85,4 +85,4 @@ def _text(schedule: StaticSchedule) -> Iterator[str]:
         yield f"   {label:<14} {determined} terms determined, median sigma {design.median_sigma:.3g} of one reading"
         if design.aliased:
             yield f"      not determined: {', '.join(design.aliased)}"
-    yield f"   for the terms that both tell, one load at a time needs {schedule.efficiency:.2f} times as many points"
+    yield f"   for the terms of both, one load at a time needs {schedule.efficiency:.2f} times as many points"

@@ -186,7 +186,7 @@ def _missing_sweeps_text(planned: PlannedCampaign) -> Iterator[str]:
     swept = {name for item in planned.chosen if item.plan.kind == "sweep" for name in item.plan.excited}
     missing = [limit.component for limit in planned.limits if limit.component not in swept]
     if missing and not planned.made:
-        yield f"   No sweep of {', '.join(missing)}: for a model (`identify`) other runs tell more in this time."
+        yield f"   No sweep of {', '.join(missing)}: for a model (`identify`) other runs show more in this time."
         yield "   A measured response (`sweep-tf`, `reduce --transfer`) needs a sweep of each component"
 
 
@@ -240,7 +240,7 @@ def _load_text(planned: PlannedCampaign) -> Iterator[str]:
 def _confusion_text(planned: PlannedCampaign) -> Iterator[str]:
     if not planned.confusion:
         return
-    yield "Effects that the runs cannot tell apart (cosine between their traces):"
+    yield "Effects that the runs cannot distinguish (cosine between the changes that they cause):"
     for pair in planned.confusion[:MOST_LISTED]:
         remedy = _remedy(pair)
         more = f" (and {pair.places - 1} other places)" if pair.places > 1 else ""

@@ -24,5 +24,5 @@ def scale_text(calibration: Calibration, is_compared: bool = False) -> Iterator[
     if not scale_evidence_of(calibration, is_compared):
         yield (
             "scale not verified by anything: loads in lbf that the table calls N would look the same "
-            "(`rated_loads` in the geometry, or `calibrate --against` an earlier calibration, would tell)"
+            "(`rated_loads` in the geometry, or `calibrate --against` an earlier calibration, would show it)"
         )

@@ -40,7 +40,7 @@ class CommonLoadGain:
         size = f"{100.0 * self.error:.2g} %"
         return (
             f"the load gain of {names} is one factor, {self.gain:.5g}, by which sweeps and static runs differ as a "
-            "whole: one cause. These runs do not tell whether the exciters' loads, the weights of static runs or the "
+            "whole: one cause. These runs do not show whether the exciters' loads, the weights of static runs or the "
             "channels (a supply voltage, a range) are off by it. Where it is not the exciters, loads of wind-on runs "
             f"are off by {size}, which their sigma contains with the updated model. Hang a known weight while the "
             "channels are recorded as in wind-on runs"

@@ -35,7 +35,7 @@ class _Loader(yaml.SafeLoader):
         mark: yaml.Mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
         node = super().compose_node(parent, index)
         if is_alias and id(node) not in self._entries_of:
-            raise yaml.MarkedYAMLError(problem="an alias stands within its own anchor", problem_mark=mark)
+            raise yaml.MarkedYAMLError(problem="an alias is within its own anchor", problem_mark=mark)
         self._entries += self._entries_of[id(node)] if is_alias else 1
         if self._entries > MOST_ENTRIES:
             raise yaml.MarkedYAMLError(problem=f"more than {MOST_ENTRIES} entries", problem_mark=mark)

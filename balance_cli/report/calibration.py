@@ -111,7 +111,7 @@ def residual_table(calibration: Calibration) -> Table:
     caption = (
         f"Residual in % of the {scale.meaning} ({full}); condition of C0 in units of the calibrated range and of the "
         "noise of the channels; variance of the residuals over that of the noise (1 where a straight line fits the "
-        "readings; not known where the rows do not tell their noise)."
+        "readings; not known where the rows do not show their noise)."
     )
     return Table(caption, (head,), rows)
 

@@ -40,9 +40,9 @@ def load_schedule_blocks(calibration: Calibration) -> Iterator[PageBlock]:
     aliased = [name for name, reason in all_trims.model.unsupported_terms.items() if "does what" in reason]
     questions = list(schedule.open_questions)
     if aliased:
-        questions.append(f"Terms that these loads do not tell from others: {', '.join(aliased)}.")
+        questions.append(f"Terms that these loads do not separate from others: {', '.join(aliased)}.")
     if questions:
-        yield Paragraph("What this schedule cannot tell:")
+        yield Paragraph("What this schedule cannot determine:")
         yield BulletList(tuple(questions))
 
 

@@ -50,7 +50,7 @@ FIXED_TERMS_TEXT = {
 }
 
 RANDOM_TERMS_TEXT = (
-    "Loads are computed by a model with random terms: all |F|, F^2, F|F| and F G that the rows tell, each with a "
+    "Loads are computed by a model with random terms: all |F|, F^2, F|F| and F G that the rows determine, each with a "
     "coefficient that is shrunk by the variance of its family, because it is more likely than the significant terms "
     "alone. Its terms are not tested one by one; the tables show the significant terms."
 )

@@ -164,5 +164,5 @@ def _confusion_table(forecast: StoredForecast) -> Table:
         cosine = pair.cosine_with_run if pair.run else min(pair.cosine, pair.cosine_with_further)
         cells = [TableCell(text, mark="text") for text in (pair.first, pair.second + other, remedy)]
         rows.append((TableCell(f"{pair.cosine:.4f}"), *cells, TableCell(f"{cosine:.4f}")))
-    caption = "Effects whose traces are nearly alike after the runs (cosine of their angle; 1: cannot be told apart)."
+    caption = "Effects that change the data in nearly the same way (cosine of their angle; 1: indistinguishable)."
     return Table(caption, (plain_row(*head),), tuple(rows))

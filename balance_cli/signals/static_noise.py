@@ -52,7 +52,7 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
         differences = np.vstack([differences, repeated_differences(loads)])
     count = _independent_differences(loads, differences)
     if count < len(channel_names) + 2:
-        fault = f"only {count} rows within a ramp of the loading or at repeated loads tell its noise"
+        fault = f"only {count} rows within a ramp of the loading or at repeated loads show its noise"
         raise run_error(run, fault, "Apply the loads in steps, up and down")
     covariance, dof = difference_covariance(channels, loads, differences)
     parts = _noise_parts(channels, loads, differences, covariance, dof)

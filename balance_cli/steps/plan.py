@@ -132,7 +132,7 @@ def plan_campaign(
     design = choose_runs(problem, options.minutes, deadline)
     if not design.chosen:
         shortest = min(problem.minutes([i]) for i in range(len(candidates)))
-        fault = f"no run that tells anything fits into {options.minutes:g} minutes (the shortest takes {shortest:.3g})"
+        fault = f"no informative run fits into {options.minutes:g} minutes (the shortest takes {shortest:.3g})"
         raise UserError(fault, "--minutes", remedy="Give more time, or shorter periods and set-ups in the hall file")
     return _describe(base, problem, design, options, spectra, deadline, progress)
 

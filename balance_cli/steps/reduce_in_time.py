@@ -266,7 +266,7 @@ def _steady_estimates(setup: _RunSetup, harmonic_result: RunLoads, options: Time
         yield from _run_filters(setup, _build_filters(setup, harmonic_result, options), options)
     except np.linalg.LinAlgError as error:
         raise UserError(
-            "no filter is steady: the channels do not tell the loads that were assumed from their noise",
+            "no filter is steady: the channels do not distinguish the assumed loads from noise",
             str(setup.run.path or setup.run.name),
             "channels",
             "Reduce the run by harmonics, or record the channels with finer steps",

@@ -199,5 +199,5 @@ def test_listed_terms_that_the_loads_hardly_tell_are_named_with_their_variance_i
     run, ones = np.zeros(len(x), np.intp), np.ones(len(x))
     points = CalibrationPoints(tuple("abc"), ("Fx", "Fz"), ("r",), read, x, run, ones, np.ones(2))
     made = calibrate_all_trims(points, choice=TermChoice(LISTED, listed=("Fx^2", "Fx^3")))
-    (said,) = (text for text in math_model_warnings(made) if "hardly tell" in text)
+    (said,) = (text for text in math_model_warnings(made) if "hardly separate" in text)
     assert "`Fx^2`, `Fx^3` from each other" in said and "1000 at the most" in said

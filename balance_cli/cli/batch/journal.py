@@ -123,7 +123,7 @@ def describe_kept_results() -> str:
     """Return what an interruption of this process leaves for the next call, in words; empty where that is nothing."""
     counts = [(len(journal), journal) for journal in _open_journals if journal.is_mine]
     sentences = [f"{count} reduced runs are kept in {journal}" for count, journal in counts if count]
-    return f"{', '.join(sentences)}: the same call goes on from there" if sentences else ""
+    return f"{', '.join(sentences)}: the same call resumes from there" if sentences else ""
 
 
 def journal_path(output: Path) -> Path:

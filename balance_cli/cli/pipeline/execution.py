@@ -230,7 +230,7 @@ def _terminate_on_signal(processes: list[subprocess.Popen[str]]) -> Iterator[Non
         for process in running:
             with suppress(subprocess.TimeoutExpired):
                 process.wait(TERMINATION_WAIT)
-        message = "balance: interrupted; what is done stays, and the same call goes on from there\n"
+        message = "balance: interrupted; finished steps are kept, and the same call resumes from there\n"
         with suppress(OSError):
             os.write(2, message.encode())
         os._exit(128 + number)

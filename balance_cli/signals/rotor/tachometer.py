@@ -179,7 +179,7 @@ def _once_per_revolution(leading: Array, trailing: Array, settings: TachometerSe
         teeth = azimuth_from_pulses(leading, smooth=False)
     except UserError as error:
         raise _tachometer_error(error) from error
-    notes = [f"azimuth 0 is at the first of {count} pulses a revolution: no index tells which one it is"]
+    notes = [f"azimuth 0 is at the first of {count} pulses a revolution: there is no index that shows which one it is"]
     notes += [note for note in teeth.notes if not note.startswith("pulses scatter")]
     return teeth.time_of(np.arange(0, teeth.turns + 1, count)), notes
 
