@@ -8,6 +8,7 @@ complement S = B - C A^-1 C': what is left of the other columns once the harmoni
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class JointRegression:
         alone = np.linalg.solve(self.own, moment[:count])
         if not len(self.border):
             return np.asarray(alone)
-        explained, directions = self._others()
+        explained, directions = self._others
         amplitude = directions.T @ (moment[count:] - self.border[:, :count] @ alone)
         return np.asarray(alone - explained @ directions @ amplitude)
 
@@ -51,12 +52,13 @@ class JointRegression:
         """
         if not len(self.border):
             return np.ones(len(self.own))
-        explained, directions = self._others()
+        explained, directions = self._others
         variance = np.diag(np.linalg.inv(self.own))
         return np.asarray(1.0 + np.sum((explained @ directions) ** 2, axis=1) / variance)
 
+    @cached_property
     def _others(self) -> tuple[Array, Array]:
-        """Return A^-1 C' (2 F + 1, e) and V (e, k) with V V' = S^-1 over the k directions that are told apart."""
+        """A^-1 C' (2 F + 1, e) and V (e, k) with V V' = S^-1 over the k directions that are told apart."""
         beside, among = np.split(self.border, [len(self.own)], axis=1)
         explained = np.linalg.solve(self.own, beside.T)
         size = 1.0 / np.sqrt(np.maximum(np.diag(among), np.finfo(float).tiny))
