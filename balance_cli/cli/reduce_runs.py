@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.choices import HARMONIC, KALMAN, LOAD_MODELS, SMOOTHER
-from balance_cli.signals.run_samples import sample_rate
 
 if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
@@ -157,6 +156,8 @@ class Reduction:
 
 
 def _check_lag(run: Run, lag: float | None) -> None:
+    from balance_cli.signals.run_samples import sample_rate
+
     duration = run.samples / sample_rate(run)
     if lag is not None and lag > duration:
         fault = f"lag {lag:g} s is longer than the record `{run.name}` of {duration:g} s"

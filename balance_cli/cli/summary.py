@@ -32,13 +32,11 @@ class SummaryOfEach(Mapping[str, Any]):
         return len(self._values)
 
 
-def json_text(summary: Mapping[str, Any]) -> str:
-    """The summary as one JSON object, keys in their given order; bytes of paths that are not UTF-8 are escaped."""
-    return "".join(json_parts(summary))
-
-
 def json_parts(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the text of a summary in parts, so that it need not be in memory."""
+    """Yield the text of a summary, one JSON object with its keys in their order, in parts: it need not be in memory.
+
+    Bytes of paths that are not UTF-8 are escaped.
+    """
     for part in _parts(summary, 0):
         yield part.encode("utf-8", "backslashreplace").decode()
 

@@ -113,10 +113,6 @@ class Unit:
         """Convert values from this unit to the base unit."""
         return np.asarray(np.asarray(values, float) * self.factor + self.offset)
 
-    def from_base(self, values: ArrayLike) -> Array:
-        """Convert values from the base unit to this unit."""
-        return np.asarray((np.asarray(values, float) - self.offset) / self.factor)
-
 
 def parse_unit(text: str, *dimensions: str) -> Unit:
     """Find the unit that a text names, among those of some dimensions (base units; all where none is given).

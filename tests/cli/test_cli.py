@@ -26,7 +26,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.summary import SummaryOfEach, json_parts, json_text, to_json_value
+from balance_cli.cli.summary import SummaryOfEach, json_parts, to_json_value
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.io.errors import UserError
 
@@ -253,7 +253,7 @@ def test_summaries_are_strict_json_with_null_for_what_is_not_finite(summary: dic
             return [finite(item) for item in value]
         return None if isinstance(value, float) and not np.isfinite(value) else value
 
-    assert json.loads(json_text(summary), parse_constant=refuse) == finite(summary)
+    assert json.loads("".join(json_parts(summary)), parse_constant=refuse) == finite(summary)
 
 
 def test_summaries_take_what_steps_return() -> None:
@@ -265,7 +265,7 @@ def test_summaries_take_what_steps_return() -> None:
         "path": Path("a"),
         "harmonic": {1: 0.5},
     }
-    assert json.loads(json_text(summary)) == {
+    assert json.loads("".join(json_parts(summary))) == {
         "array": [[1.0, None], [2.0, 3.0]],
         "scalars": [0.5, 2, True],
         "complex": {"real": 1.0, "imag": 2.0},
@@ -274,7 +274,7 @@ def test_summaries_take_what_steps_return() -> None:
         "harmonic": {"1": 0.5},
     }
     with pytest.raises(TypeError, match="object has no JSON form"):
-        json_text({"a": object()})
+        "".join(json_parts({"a": object()}))
 
 
 def test_summaries_of_many_runs_are_written_one_by_one_with_the_bytes_of_one_object() -> None:
@@ -291,4 +291,4 @@ def test_summaries_of_many_runs_are_written_one_by_one_with_the_bytes_of_one_obj
     longest = max(map(len, parts))
     assert made == list(range(100)) and longest < 200
     whole = json.dumps(to_json_value(summary), indent=2, ensure_ascii=False)
-    assert json_text(summary) == whole
+    assert "".join(json_parts(summary)) == whole

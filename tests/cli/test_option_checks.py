@@ -14,7 +14,7 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.cli.common import OutputFolder, balance_command, runs_argument
 from balance_cli.cli.options import check_band
 from balance_cli.cli.reduce_runs import _check_lag, check_name
-from balance_cli.cli.summary import json_text
+from balance_cli.cli.summary import json_parts
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import is_hdf5
 from balance_cli.simulation.files import read_plan
@@ -77,7 +77,7 @@ def test_paths_that_cannot_be_looked_up_are_refused(tmp_path):
 
 def test_paths_that_are_not_utf8_are_escaped_in_json():
     name = os.fsdecode(b"a\xff.h5")
-    assert json.loads(json_text({"outputs": [name]}).encode()) == {"outputs": [name]}
+    assert json.loads("".join(json_parts({"outputs": [name]})).encode()) == {"outputs": [name]}
 
 
 def test_what_is_not_an_ordinary_file_is_not_opened(tmp_path):
