@@ -1,4 +1,4 @@
-"""How far the gains of load series scatter about what the others predict: what the model lacks changes all of them.
+"""Gain errors of load series that are no fault, and how far gains scatter: what the model lacks changes all of them.
 
 A model that lacks terms, the loads alone for a balance that curves, predicts no load series: each gain errs by as much
 as another. A wrong gain is that of one series. It is therefore compared with the gains of the others.
@@ -16,6 +16,8 @@ from balance_cli.calibration.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
 
+MIN_GAIN_ERROR = 0.01
+"""Gain error below which no load series is suspected: nonlinearity causes as much, a wrong cable or range far more."""
 MIN_SERIES, MIN_GAINS = 5, 8
 """Other load series, and gains in them, from which their scatter is known: the two that a wrong series spoils with it
 are then no majority."""
@@ -33,6 +35,20 @@ def gain_scatter(points: CalibrationPoints, fit: CalibrationModelFit) -> Mapping
         if (rows := (points.load_series == name) & used).any()
     }
     return {name: _scatter([each for other, each in gains.items() if other != name]) for name in gains}
+
+
+def least_gain_errors(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], predicted: Array
+) -> Array:
+    """Gain errors (c,) in some rows below which a channel is not suspected, for its predicted change (r, c).
+
+    A weight and its line of action may change a channel by MIN_GAIN_ERROR of its response to the load that it feels
+    most. Of the small change that an interaction makes, or two loads that cancel, this is a larger part.
+    """
+    response = np.max(np.abs(fit.model.coefficients[: len(points.components)]), axis=0)
+    usual = MIN_GAIN_ERROR * response * np.max(np.ptp(points.loads[rows] / fit.model.calibrated_range, axis=0))
+    change = np.ptp(predicted, axis=0)
+    return np.asarray(np.maximum(MIN_GAIN_ERROR, usual / np.maximum(change, np.maximum(usual, np.finfo(float).tiny))))
 
 
 def _gains(channels: Array, errors: Array, noise: Array) -> Array:

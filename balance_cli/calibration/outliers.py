@@ -233,11 +233,14 @@ def _errors_without(points: CalibrationPoints, fit: CalibrationModelFit, rows: M
 
 
 def _outlying_rows(points: CalibrationPoints, fit: CalibrationModelFit, most: int) -> tuple[Mask, bool]:
-    """Rows (m,) that the others do not predict, at most so many, and whether more remain."""
+    """Rows (m,) that the others do not predict, at most so many, and whether more remain.
+
+    A degree of freedom remains, too: without any the others agree with each other whatever they are.
+    """
     excluded = np.zeros(len(points.weight), bool)
     # One by one, refitted each time: an outlier biases the predictions of the rows near it.
     row = _largest_outlier(points, fit)
-    while row is not None and np.count_nonzero(excluded) < most:
+    while row is not None and np.count_nonzero(excluded) < most and np.min(fit.model.dof) > 1:
         excluded[row] = True
         points = points.exclude_rows(excluded)
         fit = refit_terms(points, fit.model)

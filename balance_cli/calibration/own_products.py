@@ -21,6 +21,9 @@ Mask = NDArray[np.bool_]
 
 MAX_PRODUCT = 0.1
 """Product of two full loads over the largest linear response of the channel: interactions above it are a fault."""
+MAX_ONE_SIDED = 0.01
+"""The same for a term such as |F| that one load series alone shows: the directions of a balance of several pieces
+differ by as much, which is a gain error of 2 % in one of them; a larger difference is taken for a fault."""
 MOST_NAMED = 3
 """Products that a note names."""
 MAX_RESIDUAL_RATIO = 3.0
@@ -35,6 +38,14 @@ def explaining_products(
     Each with its largest coefficient over the linear response of the channel, by the name of the term.
     """
     return _explaining_terms(points, fit, rows, channels, _is_own)
+
+
+def usual_one_sided_terms(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask, channels: Iterable[str]
+) -> dict[str, float]:
+    """Terms such as |F|, of a usual size, that explain these channels where one series alone has a direction."""
+    sizes = _explaining_terms(points, fit, rows, channels, _is_one_sided)
+    return sizes if max(sizes.values(), default=0.0) <= MAX_ONE_SIDED else {}
 
 
 def one_sided_note(

@@ -46,6 +46,11 @@ DECISIVE_EVIDENCE = 20.0
 well in the median, and up to 20 either was at times twice as good; balances with few large terms have 2000 and more."""
 MAX_SLOPES = 300
 """Columns of slopes of load series beyond which there are none: the time grows with their cube, to 2 s for so many."""
+SAME_LIKELIHOOD = 3.0
+"""Log likelihood that slopes of the load series have to gain: odds of 20, "strong" (Kass and Raftery, J. Am. Stat.
+Assoc. 90, 1995, 773). A term |F| and a gain error of one of two series of opposite directions have the same effect. If
+it was a gain, |F| makes the errors of further series sqrt(4/3) times those of the mean slope, which is wrong by |F| if
+it was that."""
 FAMILY_COST = 1.0
 """Log likelihood that each variance has to gain (Akaike, IEEE Trans. Autom. Control 19, 1974, 716)."""
 
@@ -82,6 +87,9 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     response = np.sqrt(np.mean(np.linalg.lstsq(A[:, :k], y, rcond=None)[0] ** 2, axis=0))
     scale = np.where(response > 0.0, response, 1.0)
     components = estimate_variance_components(A[:, :k], A[:, k:], columns.family, y, scale, rows_less_zeros)
+    scatter = float(components.size[-1]) if columns.slopes else 0.0
+    if scatter:
+        columns, components = _prefer_terms(columns, components, A, y, rows_less_zeros)
     evidence = components.log_likelihood - FAMILY_COST * np.count_nonzero(components.size)
     candidates = k * (2 * k + 3)  # nonlinear terms of the ten families
     if not components.size.any():
@@ -89,7 +97,21 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     required = DECISIVE_EVIDENCE if fit.model.is_nonlinear else 0.0
     if evidence + required <= _evidence_of_selected(fit, weight, used, rows_less_zeros, candidates):
         return None
-    return _fit_channels(points, columns, components)
+    return _fit_channels(points, columns, components, scatter)
+
+
+def _prefer_terms(
+    columns: _Columns, components: VarianceComponents, A: Array, y: Array, rows_less_zeros: int
+) -> tuple[_Columns, VarianceComponents]:
+    """The columns without the slopes of load series, and their variances, where these explain as much alone."""
+    k, terms = columns.loads, columns.values.shape[1] - columns.slopes
+    if terms == k:
+        return columns, components
+    family = columns.family[: terms - k]
+    without = estimate_variance_components(A[:, :k], A[:, k:terms], family, y, components.scale, rows_less_zeros)
+    if without.log_likelihood < components.log_likelihood - SAME_LIKELIHOOD:
+        return columns, components
+    return _Columns(columns.values[:, :terms], columns.terms, family, 0), without
 
 
 def _determined_columns(x: Array, block: Index) -> _Columns:
@@ -141,16 +163,18 @@ def _evidence_of_selected(
     return float(-0.5 * np.sum(n * np.log(squares / n) + n) - selected * (0.5 * np.log(n) + np.log(candidates)))
 
 
-def _fit_channels(points: CalibrationPoints, columns: _Columns, components: VarianceComponents) -> CalibrationModelFit:
+def _fit_channels(
+    points: CalibrationPoints, columns: _Columns, components: VarianceComponents, scatter: float
+) -> CalibrationModelFit:
     """Fit all channels, each coefficient penalized by the noise over its standard deviation.
 
+    `scatter`: what slopes of load series scatter by, relative to the response of a channel.
     t, p-value and variance inflation are those of the loads; a random coefficient has none.
     """
     used, k = points.weight > 0, columns.loads
     size = components.size[columns.family]
     X = columns.values[:, np.r_[np.ones(k, bool), size > 0.0]]
     terms = [*columns.terms[:k], *(term for term, own in zip(columns.terms[k:], size, strict=False) if own > 0.0)]
-    scatter = size[-1] if columns.slopes else 0.0
     fits = []
     for c, y in enumerate(points.channels[used].T):
         penalty = np.r_[np.zeros(k), components.noise[c] / (components.scale[c] * size[size > 0.0])]

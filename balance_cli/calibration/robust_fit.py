@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.block_zeros import subtract_block_means
+from balance_cli.calibration.robust_scale import growth_without_load
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -60,6 +61,7 @@ def fit_robustly(x: Array, channels: Array, block: Index) -> RobustFit:
     stands_out, deviates, scale = np.zeros(len(x), bool), np.zeros(len(x), bool), np.zeros(channels.shape[1])
     for columns in _column_sets(x, int(block.max()) + 1):
         ratio, scale = _robust_ratio(columns, channels, block)
+        ratio = ratio / growth_without_load(ratio, x, block, np.ones(len(x), bool))
         limit = float(CANDIDATE_LIMIT_FACTOR * stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / channels.size))
         stands_out |= _standing_out(ratio, block, limit)
         deviates |= _deviating_series(ratio, block, limit)

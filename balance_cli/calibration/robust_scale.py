@@ -22,6 +22,33 @@ The noise of a load reading is present only where that load was applied, and mak
 """
 
 
+MIN_UNLOADED_ROWS = 3
+"""Unloaded rows of one kind from which they have a scale of their own: one wrong row does not make their median."""
+
+
+def growth_without_load(ratio: Array, x: Array, load_series: Index, used: NDArray[np.bool_]) -> Array:
+    """Factor (m,), 1 at least, by which the errors of unloaded rows are in general larger than those of the others.
+
+    `ratio` (m,): error of each row that is `used` over its standard deviation; x (m, k): loads in units of the
+    calibrated range. Where a load hangs during a whole load series, the unloaded row alone compares its weight and its
+    line of action with those of the other series; elsewhere it shows what comes with the first weight, hanger and
+    friction. These two kinds of rows have errors that no loaded row has.
+    """
+    loaded = np.any(np.abs(x) > APPLIED_SHARE, axis=1)
+    beside = np.zeros(len(x), bool)
+    for name in np.unique(load_series):
+        rows = load_series == name
+        values = x[rows & loaded]
+        if len(values):
+            beside[rows] = np.any((np.ptp(values, axis=0) <= APPLIED_SHARE) & (np.abs(values[0]) > APPLIED_SHARE))
+    growth = np.ones(len(x))
+    for kind in (~loaded & beside, ~loaded & ~beside):
+        if np.count_nonzero(kind & used) >= MIN_UNLOADED_ROWS and np.any(loaded & used):
+            usual = max(float(np.median(ratio[loaded & used])), np.finfo(float).tiny)
+            growth[kind] = max(1.0, float(np.median(ratio[kind & used])) / usual)
+    return growth
+
+
 def robust_sigma(errors: Array) -> Array:
     """Robust standard deviation (c,) of errors (m, c): 1.4826 times the median of their absolute values."""
     # np.nanmedian takes several times as long where nothing is missing.
@@ -35,7 +62,8 @@ def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_],
     In a short load series an outlier hides in the scale of the series. That scale is therefore limited by the others'.
     A dozen rows tell their own scale to a quarter, and may be quiet by chance: series in which the same of the loads
     x (m, k), in units of the calibrated range, vary have the noise of these loads in common, and none has less than
-    all of them together. Rows that are not `used` have the scale of their series.
+    all of them together. Rows that are not `used` have the scale of their series. Unloaded rows have at least that of
+    such rows.
     """
     used = used & np.asarray(np.isfinite(errors).all(axis=1))
     common = robust_sigma(errors[used])
@@ -50,7 +78,8 @@ def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_],
         scale = np.maximum(own[name], shared[name])
         bounded = scale if len(rows) >= MIN_OWN_SCALE_ROWS else np.minimum(scale, limit)
         sigma[load_series == name] = np.maximum(common, bounded)
-    return sigma
+    ratio = np.max(np.abs(np.where(used[:, None], errors, 0.0)) / common, axis=1)
+    return np.asarray(np.maximum(sigma, common * growth_without_load(ratio, x, load_series, used)[:, None]))
 
 
 def _sigma_by_varied_loads(x: Mapping[int, Array], centered: Mapping[int, Array]) -> dict[int, Array]:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
-from balance_cli.calibration.gain_scatter import gain_scatter
+from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
 from balance_cli.calibration.math_model import student_widening
-from balance_cli.calibration.own_products import explaining_products, one_sided_note
+from balance_cli.calibration.own_products import explaining_products, one_sided_note, usual_one_sided_terms
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
 from balance_cli.calibration.series_causes import series_cause
@@ -26,8 +26,6 @@ from balance_cli.signals import distributions as stats
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-MIN_GAIN_ERROR = 0.01
-"""Gain error below which no load series is suspected: nonlinearity causes as much, a wrong cable or range far more."""
 MIN_UNEXPLAINED_SHARE = 0.3
 """Share of a channel's signal, as amplitude, that its own prediction must leave for it to be held against others."""
 MIN_PLAUSIBLE_GAIN = 0.5
@@ -127,10 +125,8 @@ def _worst_series(
         for name, check in _find_suspect_series(points, linear_fit).items()
         if name in unexplained
         and (suspect_channels := _unexplained_channels(points, (load_series == name) & used, check, unexplained[name]))
-        # Not known by the others, as a product of its loads is only told by itself.
-        and (
-            unexplained[name].channels or not _own_products(points, fit, (load_series == name) & used, suspect_channels)
-        )
+        # Not known by the others, as a product of its loads, or a side of its load, is only told by itself.
+        and (unexplained[name].channels or not _own_terms(points, fit, (load_series == name) & used, suspect_channels))
     }
     if not candidates:
         return None
@@ -173,10 +169,11 @@ def _unexplained_channels(
     return held
 
 
-def _own_products(
+def _own_terms(
     points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], deviating: Sequence[SuspectLoadSeries]
 ) -> dict[str, float]:
-    return explaining_products(points, fit, rows, [suspect.channel for suspect in deviating])
+    channels = [suspect.channel for suspect in deviating]
+    return explaining_products(points, fit, rows, channels) or usual_one_sided_terms(points, fit, rows, channels)
 
 
 def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, _SeriesCheck]:
@@ -230,11 +227,12 @@ def _suspect_channels(
     noise = robust_sigma(np.where(known, fit.cross_validation_errors, 0.0))
     # The misfit of a linear model follows the load: it does not average out over the rows.
     sigma = noise / np.sqrt(np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny))
-    if not any(_check_channel_gain(c, change, predicted, sigma, points.channel_names, "") for c in range(len(sigma))):
+    least, names = least_gain_errors(points, fit, rows, predicted), points.channel_names
+    if not any(_check_channel_gain(c, change, predicted, sigma, least, names, "") for c in range(len(sigma))):
         return []
     sigma = np.hypot(sigma, _prediction_gain_sigma(points, fit, rows, predicted, known))
     suspect_channels = (
-        _check_channel_gain(c, change, predicted, sigma, points.channel_names, description) for c in range(len(sigma))
+        _check_channel_gain(c, change, predicted, sigma, least, names, description) for c in range(len(sigma))
     )
     return [suspect for suspect in suspect_channels if suspect is not None]
 
@@ -262,16 +260,25 @@ def _prediction_gain_sigma(
 
 
 def _check_channel_gain(
-    c: int, change: Array, predicted: Array, gain_sigma: Array, channels: Sequence[str], description: str
+    c: int,
+    change: Array,
+    predicted: Array,
+    gain_sigma: Array,
+    least: Array,
+    channels: Sequence[str],
+    description: str,
 ) -> SuspectLoadSeries | None:
-    """Compare the change of channel c in some rows (r, channels) with its prediction; None where they agree."""
+    """Compare the change of channel c in some rows (r, channels) with its prediction; None where they agree.
+
+    They do within chance and within the `least` gain error (channels,).
+    """
     power = float(np.sum(predicted[:, c] ** 2))
     if power == 0.0:
         return None
     gain = float(predicted[:, c] @ change[:, c] / power)
     sigma = float(gain_sigma[c])
     is_significant = abs(gain - 1.0) > max(
-        float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels))) * sigma, MIN_GAIN_ERROR
+        float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels))) * sigma, float(least[c])
     )
     # A channel with hardly any signal in this load series does not determine its gain.
     if not is_significant or sigma > MAX_NOISE_TO_SIGNAL:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.outliers import screen_outliers
 from balance_cli.calibration.term_choice import LINEAR_TERMS
@@ -59,3 +60,25 @@ def test_the_worst_row_of_a_series_that_scatters_as_a_whole_stays(seed):
 
 def test_a_wrong_row_of_a_series_that_scatters_is_still_found():
     assert [each.row for each in screen_outliers(noisy_series_points(4, -0.4), LINEAR_TERMS).outliers] == [35]
+
+
+def test_a_degree_of_freedom_remains_where_a_short_table_has_misfits():
+    """Series of a tare point and one load each that disagree: without any dof the others agree by construction."""
+    x = np.vstack([np.outer([0.0, side], np.eye(3)[j]) for j in range(3) for side in (1.0, -1.0)])
+    counts = [[7954, 8085, 8009], [36812, 8626, 7928], [7843, 7890, 7899], [-21183, 7488, 7979]]
+    counts += [[8049, 8002, 8137], [8739, 41099, 7685], [8014, 7994, 8071], [7334, -25086, 8608]]
+    counts += [[8070, 8005, 8001], [7808, 7760, 33246], [8093, 7978, 8050], [8356, 8078, -17191]]
+    series = np.repeat(np.arange(6), 2)
+    points = CalibrationPoints(
+        ("a", "b", "c"),
+        ("Fx", "Fy", "Fz"),
+        ("s",),
+        np.array(counts, float),
+        x,
+        np.zeros(12, int),
+        np.ones(12),
+        np.ones(3),
+        series=series,
+    )
+    whole = calibrate_all_trims(points)
+    assert np.min(whole.model.dof) >= 1 and np.isfinite(whole.noise.reading_covariance).all()

@@ -173,3 +173,30 @@ def test_rows_that_were_excluded_leave_the_load_series_as_they_were():
     found = fit_random_terms(points, fit)
     assert found is not None
     assert found.model.zeros.shape == fit.model.zeros.shape
+
+
+def test_a_difference_between_the_directions_is_a_term_where_one_series_tells_each():
+    """|F| or a gain of either series: the readings do not tell, and sigma contains both.
+
+    As |F| the loads of both directions are right; the mean slope is wrong by 0.4 %.
+    """
+    rng = np.random.default_rng(3)
+    x, series = ramps()
+    linear, bilinear = rng.standard_normal((3, 4)) + 2.0 * np.eye(3, 4), 8e-3 * rng.standard_normal((3, 4))
+    readings = x @ linear + np.abs(x) @ bilinear + 5e-3 * rng.standard_normal((6, 4))[series]
+    points = points_of(x, series, readings + 1e-4 * rng.standard_normal(readings.shape))
+    fit = fit_random_terms(points, fit_calibration_model(points))
+    assert fit is not None
+    check = np.vstack([0.5 * np.eye(3), -0.5 * np.eye(3)])
+    errors = fit.model.loads(check @ linear + np.abs(check) @ bilinear)[0] - check
+    straight = (check @ linear + np.abs(check) @ bilinear) @ np.linalg.pinv(linear) - check
+    assert np.sqrt(np.mean(errors**2)) < 0.3 * np.sqrt(np.mean(straight**2))
+    sigma = np.sqrt(np.diagonal(fit.model.load_covariance(check), axis1=1, axis2=2))
+    assert np.all(np.abs(errors) < 2.0 * sigma)
+    # With two series of each direction that agree it is no gain, and sigma is smaller.
+    x, series = ramps(2)
+    readings = x @ linear + np.abs(x) @ bilinear + 5e-3 * rng.standard_normal((12, 4))[series]
+    points = points_of(x, series, readings + 1e-4 * rng.standard_normal(readings.shape))
+    again = fit_random_terms(points, fit_calibration_model(points))
+    known = np.sqrt(np.diagonal(again.model.load_covariance(check), axis1=1, axis2=2))
+    assert np.all(known < 0.5 * sigma)
