@@ -21,12 +21,7 @@ from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
 from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm, score_again
-from balance_cli.diagnosis.selection.effect_selection import (
-    drop_unsupported_effects,
-    keep_effects,
-    narrow_places,
-    prune_effects,
-)
+from balance_cli.diagnosis.selection.effect_selection import keep_effects, narrow_places, select_effects
 from balance_cli.diagnosis.selection.fit import Fit, continue_fit, fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
@@ -162,14 +157,13 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
         )
         trials = (*trials, *merged)
         count, last = len(confirmation.scores), last_round(trials) + 1
-        fit, pruned = prune_effects(fit, batches, count, last, task.announce, settings)
-        fit, dropped = drop_unsupported_effects(
-            fit, batches, error_runs, task.certain_labels, last, task.announce, settings
+        fit, removed = select_effects(
+            fit, batches, error_runs, task.certain_labels, count, last, task.announce, settings
         )
         comparison = compare_alternatives(
             fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
         )
-        trials, fit = (*trials, *pruned, *dropped, *comparison.trials), comparison.fit
+        trials, fit = (*trials, *removed, *comparison.trials), comparison.fit
         if over or not comparison.trials or number == settings.selection.max_passes - 1:
             break
     tested = examine_hypotheses(fit, batches, last_round(trials) + 1, settings)

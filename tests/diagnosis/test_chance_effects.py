@@ -6,7 +6,8 @@ from scipy.special import i0e
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search.extended_models import extend_model
-from balance_cli.diagnosis.selection.effect_selection import REASON_NOT_NEEDED, prune_effects
+from balance_cli.diagnosis.selection import effect_selection
+from balance_cli.diagnosis.selection.effect_selection import REASON_NOT_NEEDED, prune_effects, select_effects
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
@@ -56,6 +57,16 @@ def test_what_chance_explains_is_never_left_in(batches, is_over):
     alone = fit_with((LATE,), batches)
     # The tolerance of chi-square of fits that are compared.
     assert pruned.chi2 == pytest.approx(alone.chi2, abs=2.0 * SETTINGS.fit.comparison_tolerance)
+
+
+def test_what_only_an_unsupported_effect_had_made_necessary_goes_with_it(batches, monkeypatch):
+    """A wrong effect may need others that correct it; without it the right ones are enough."""
+    left = fit_with((LATE, *CHANCE), batches)
+    monkeypatch.setattr(effect_selection, "drop_unsupported_effects", lambda *_: (left, ("removed",)))
+    fit, trials = select_effects(fit_with((LATE,), batches), batches, (), (), 300, 1, lambda _: True, SETTINGS)
+    assert [effect.effect.name for effect in declared_effects(fit.model.geometry)] == ["time-delay"]
+    assert trials[0] == "removed"
+    assert [trial.reason for trial in trials[1:]] == [REASON_NOT_NEEDED] * 2
 
 
 def test_a_tone_is_looked_for_at_as_many_frequencies_as_a_record_resolves(batches):

@@ -66,6 +66,29 @@ def _declared_and_placed(geometry: Geometry) -> list[tuple[DeclaredEffect, Place
     return [(item, declared_effects(geometry.model_copy(update={"effects": (item,)}))[0]) for item in geometry.effects]
 
 
+def select_effects(
+    fit: Fit,
+    batches: Sequence[Batch],
+    error_runs: Collection[str],
+    certain_labels: Collection[str],
+    count: int,
+    number: int,
+    announce: Announce,
+    settings: SearchSettings,
+) -> tuple[Fit, tuple[Trial, ...]]:
+    """Return the model without effects that are not needed and without those that are not supported.
+
+    What an effect without support had taken from the others may have been all that a further one corrected: needless
+    effects are looked for once more where one was removed.
+    """
+    fit, needless = prune_effects(fit, batches, count, number, announce, settings)
+    fit, dropped = drop_unsupported_effects(fit, batches, error_runs, certain_labels, number, announce, settings)
+    if not dropped:
+        return fit, needless
+    fit, later = prune_effects(fit, batches, count, number, announce, settings)
+    return fit, (*needless, *dropped, *later)
+
+
 # ---- effects that are not needed -------------------------------------------------------------------------------------
 
 
