@@ -22,13 +22,20 @@ from tempfile import TemporaryDirectory
 import h5py
 import numpy as np
 
-from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run_file import open_matching_run, open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli.batch.executors import keep_freed_memory
 from balance_cli.cli.batch.work import Item, pickle_reduction, reduce_file, survey_run
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.reduction.harmonic_loads import harmonic_loads
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.steadiness import examine_steadiness
+from balance_cli.signals.rotor.harmonics import estimate_harmonics
+from balance_cli.signals.rotor.pulse_consistency import line_spacing
+from balance_cli.signals.rotor.unmodelled_lines import unmodelled_lines
+from balance_cli.signals.transient_end import find_transient_end
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify
 from benchmarks.comparison import Comparison, program_with_version
@@ -36,15 +43,15 @@ from studies.wind_runs import write_wind_runs
 
 ROOT = Path(__file__).parents[1]
 RUNS = 24
-STAGES = {
-    "file, checks, digest": "open_matching_run",
-    "health of channels": "live_channels",
-    "pulses against lines": "line_spacing",
-    "transient end": "transient_end",
-    "regression, lines beside": "estimate_harmonics",
-    "response, least squares": "harmonic_loads",
-    "other lines": "unmodelled_lines",
-    "steadiness": "unsteady_loads",
+STAGES: dict[str, Callable[..., object]] = {
+    "file, checks, digest": open_matching_run,
+    "health of channels": live_channels,
+    "pulses against lines": line_spacing,
+    "transient end": find_transient_end,
+    "regression, lines beside": estimate_harmonics,
+    "response, least squares": harmonic_loads,
+    "other lines": unmodelled_lines,
+    "steadiness": examine_steadiness,
 }
 """Stages of a reduction, and the function whose time is theirs."""
 
@@ -115,5 +122,5 @@ def _time_of_stages(call: Callable[[Path], object], paths: Sequence[Path]) -> di
     stats = pstats.Stats(profile)
     cumulative = {name: entry[3] for (_, _, name), entry in stats.stats.items()}  # type: ignore[attr-defined]
     total = cumulative["reduce_file"]
-    shares = {stage: cumulative[name] / total for stage, name in STAGES.items()}
+    shares = {stage: cumulative[function.__name__] / total for stage, function in STAGES.items()}
     return shares | {"flags, trust, the rest": 1.0 - sum(shares.values())}
