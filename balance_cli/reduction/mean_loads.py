@@ -231,6 +231,7 @@ def mean_reading(
     change = spectra.amplitude[0, spectrum_columns].real - reference_reading[rows]
     covariance = np.real(spectra.covariance[0][np.ix_(spectrum_columns, spectrum_columns)])
     dof = 2.0 * float(spectra.dof[0])
+    covariance *= student_widening(dof)
     if zero is None:
         scatter = zero_scatter(zeros.each)[np.ix_(rows, rows)]
         known = len(zeros.each) > 1

@@ -14,13 +14,14 @@ from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.common_change import CommonChange, common_change
-from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, unsteady, windowed_amplitudes
+from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, sigma_if_steady, unsteady, windowed_amplitudes
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 MATERIAL_SHARE = 0.05
-"""Change of a mean load, as a share of its size, from which the mean over the record is no operating point.
+"""Change of a mean load, as a share of its size or that of its largest harmonic, from which the mean over the record
+is no operating point.
 
 A balance engineer repeats a point whose load moved by a few per cent; smaller drifts are the tunnel's own.
 """
@@ -75,18 +76,20 @@ def examine_steadiness(
     loads[:, 1:] = _harmonic_loads(windows, record, geometry, source)
     if static is not None:
         loads[:, 0] = _mean_loads(windows, static)
-    correlation = np.zeros((n + 1, 1))
-    correlation[1:] = of_harmonics = _correlation(windows, source)
-    correlation[0] = of_harmonics if of_harmonics > SLOW_MODE_CORRELATION else 0.0
+    of_harmonics = _correlation(windows, source)
+    correlation = np.full((n + 1, 1), of_harmonics)
+    correlation[0] *= of_harmonics > SLOW_MODE_CORRELATION
     # Of harmonics only the interval: the transient of a high-pass, which the slowest mode does not tell, is among them.
     duration = windows.turns / float(np.median(windows.speed))
     first, last = record.spectra.interval
     start = max(len(loads) - int((last - first) / duration), 0)
     within = loads[start:]
     loads[:, 0] = _beyond_transient(loads[:, 0], start, of_harmonics)
-    is_unsteady = unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
-    limit = np.maximum(sigma, _material_change(np.abs(within.mean(axis=0))) / 3.0)
-    is_unsteady[1:] = unsteady(within, limit, correlation)[1:]
+    if static is not None:
+        # A step makes the noise of a mean red, and its sigma large.
+        sigma = np.vstack([np.minimum(sigma[0], sigma_if_steady(loads[:, 0])), sigma[1:]])
+    is_unsteady = unsteady(loads, _least_change(sigma, loads), correlation)
+    is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
     change = common_change(within[:, 1:])
     if change is None:
         return Steadiness(is_unsteady)
@@ -147,12 +150,17 @@ def _without_start_up(windows: WindowedAmplitudes, speed: float) -> WindowedAmpl
     return replace(windows, values=windows.values[first:], speed=windows.speed[first:])
 
 
+def _least_change(sigma: Array, loads: ComplexArray) -> Array:
+    """Return a third of the change (n+1, m) of loads (w, n+1, m) that matters, at least sigma."""
+    return np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0)
+
+
 def _material_change(size: Array) -> Array:
     """Return the change (n+1, m) of loads of this size that matters."""
     change = np.maximum(
         MATERIAL_SHARE_OF_HARMONIC * size, MATERIAL_SHARE_OF_LARGEST * size[1:].max(axis=0, initial=0.0)
     )
-    change[0] = MATERIAL_SHARE * size[0]
+    change[0] = MATERIAL_SHARE * size.max(axis=0)
     return np.asarray(change)
 
 

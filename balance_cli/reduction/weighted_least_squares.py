@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.math_model import student_widening
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.covariance_pooling import inverse_bias_factor
 
@@ -108,10 +109,9 @@ def solve_loads(
     G, noise_covariance = _weighted_inverse(T, tested_noise if weighting_covariance is None else weighting_covariance)
     # Weights that are not the inverse of the noise's covariance: the errors of the loads are those of the noise itself.
     propagated = few | (weighting_covariance is not None)
-    factor = _estimated_weights_factor(np.where(propagated, np.inf, dof), a - b)
-    noise_covariance = np.where(
-        propagated[:, None, None], _propagate(G, noise), noise_covariance * factor[:, None, None]
-    )
+    factor = _estimated_weights_factor(np.where(propagated, np.inf, dof), a - b)[:, None, None]
+    noise_covariance = np.where(propagated[:, None, None], _propagate(G, noise), noise_covariance * factor)
+    noise_covariance *= np.array([student_widening(2.0 * float(d)) for d in dof])[:, None, None]
     loads = np.einsum("hba,ha->hb", G, y)
     response_error = response_covariance(loads)
     total = tested_noise + response_error

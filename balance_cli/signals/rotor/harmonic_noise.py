@@ -34,19 +34,17 @@ FEWEST_NOISE_LINES = 8
 """Lines below which none is dropped; fewer do not determine a covariance."""
 MEDIAN_OF_EXPONENTIAL = float(np.log(2.0))
 """Median over mean of the power of a line of noise, which is exponentially distributed."""
-SLOPE_SIGNIFICANCE = 2.0
-"""Standard errors by which the spectrum must fall with frequency before it is extrapolated to the mean."""
-STEEPEST_EXPONENT = -1.5
-"""Exponent of the power law below which there is no extrapolation.
-
-Noise is at most of the kind 1/f. In a steeper spectrum the load itself varies, by a step or a maneuver.
-"""
-MEAN_LINE_OFFSET = 0.5
-"""Line that stands for the mean in the power law: it is the mean over frequencies from zero to the first line."""
 MEAN_NOISE_LINES = 24
 """Lines from which the noise of the mean is estimated; half of those of a harmonic, because it must be near zero."""
 LINE_CORRELATION_SUM = 2.27
 """Lines under Blackman's taper that are worth one: the sum of |rho|^2 over all pairs of lines 3 to 24, over 22."""
+WHITE_PRIOR = 0.9
+"""Prior probability that noise is white near the mean. White noise is then stated 1.1 times as large as it is, in the
+median; with 0.5 it is 1.3 times."""
+CORNER_LINES = 0.35 * 2.0 ** (0.5 * np.arange(14))
+"""Corners of red noise, in lines: from gusts slower than the record, which pass for a drift, to all lines."""
+WHITE_SHARES = (0.0, 0.01, 0.1)
+"""White noise beside red noise, over its power at rest."""
 
 
 def blackman_taper(fraction: Array) -> Array:
@@ -139,27 +137,67 @@ def _medians_of_first(power: Array, counts: Integers) -> Array:
     return np.asarray(np.swapaxes(0.5 * (low + high), -1, -2))
 
 
-def mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
+def mean_line_offsets(revolutions: int) -> Array:
+    """Return the offsets of the lines that tell the noise of the mean, in units of 1/`revolutions`."""
+    return np.arange(1.0, min(MEAN_NOISE_LINES, int(WIDEST_OFFSET * revolutions)) + 1.0)
+
+
+def mean_noise(lines: ComplexArray, offsets: Array, mean: Array) -> PooledNoise:
     """Return the noise of harmonic 0, which is real: from the lines of one side, because the other is its mirror image.
 
-    X_0 is half of the value that the formula for k >= 1 gives. Where the spectrum of a signal falls significantly with
-    frequency, as that of a drift does, its power law is extrapolated to the mean.
+    `lines` (k, c) at `offsets` (k,) from 1 on; the two innermost contain the `mean` (c,), which is taken out. X_0 is
+    half of the value that the formula for k >= 1 gives. Gusts and drifts are noise whose spectrum falls with frequency:
+    what is taken at rest is the average of white and red spectra, by how well they describe the lines.
     """
-    above = (offsets > 0) & (offsets <= MEAN_NOISE_LINES)
-    pooled = pooled_noise(lines[above] / 2.0, offsets[above])
-    ratio = np.sqrt(_power_law_factor(np.abs(lines[above]) ** 2, offsets[above]))
-    covariance = pooled.covariance.real * np.outer(ratio, ratio)
-    return PooledNoise(covariance.astype(complex), pooled.dof)
+    a0, a1, a2 = BLACKMAN_COEFFICIENTS
+    of_mean = np.where(offsets == 1.0, -0.5 * a1, np.where(offsets == 2.0, 0.5 * a2, 0.0)) / a0
+    # Without the mean the first line lacks what the taper takes from there.
+    whole = a0**2 + 0.5 * (a1**2 + a2**2)
+    left = np.where(offsets == 1.0, 1.0 - 0.25 * a1**2 / whole, 1.0)
+    z = (0.5 * lines - of_mean[:, None] * mean) / np.sqrt(left)[:, None]
+    outward = offsets >= INNERMOST_LINE
+    keep = ~outward
+    keep[outward] = noise_only_lines(np.abs(z[outward]) ** 2, offsets[outward])
+    covariance = _covariance_at_rest(z[keep], offsets[keep])
+    dof = np.count_nonzero(keep) / LINE_CORRELATION_SUM
+    return PooledNoise(covariance.astype(complex), np.asarray(dof))
 
 
-def _power_law_factor(power: Array, lines: Array) -> Array:
-    """Factor (c,) by which the power at the mean exceeds the mean power of the lines, from a fitted power law."""
-    nonzero = np.any(power > 0, axis=0)
-    x = np.log(lines) - np.mean(np.log(lines))
-    exponent = x @ np.log(np.where(nonzero, power, 1.0) + np.finfo(float).tiny) / (x @ x)
-    # The logarithm of an exponential variable has the standard deviation pi/sqrt(6).
-    error = np.pi / np.sqrt(6.0) * np.sqrt(LINE_CORRELATION_SUM / (x @ x))
-    significant = nonzero & (exponent < -SLOPE_SIGNIFICANCE * error) & (exponent > STEEPEST_EXPONENT)
-    exponent = np.where(significant, exponent, 0.0)
-    law = (lines[:, None] / MEAN_LINE_OFFSET) ** exponent
-    return np.asarray(1.0 / np.mean(law, axis=0))
+def _covariance_at_rest(z: ComplexArray, lines: Array) -> Array:
+    """Return the covariance (c, c) at the mean of noise with amplitudes z (k, c) at the lines (k,).
+
+    The principal components of the channels are uncorrelated, and each has a spectrum of its own: a gust that loads
+    several cells stays in proportion.
+    """
+    size = np.sqrt(np.mean(np.abs(z) ** 2, axis=0))
+    size[size == 0.0] = 1.0
+    scaled = z / size
+    directions = np.linalg.svd(np.concatenate([scaled.real, scaled.imag]), full_matrices=False)[2].T
+    power = np.abs(scaled @ directions) ** 2
+    at_rest = power.mean(axis=0) * _power_at_rest(power, lines)
+    return np.asarray(size[:, None] * (directions * at_rest) @ directions.T * size)
+
+
+def _power_at_rest(power: Array, lines: Array) -> Array:
+    """Return the power at the mean over the mean power of the lines (k,), for each column of `power` (k, c).
+
+    The average over spectra 1/(1 + (line/corner)^2) with and without white noise, and white noise alone, by their
+    posterior probability; the scale of a spectrum has the prior of Jeffreys.
+    """
+    used = np.where(np.any(power > 0, axis=0), power, 1.0)
+    shape, at_rest, prior = _red_spectra(lines)
+    scale = (1.0 / shape) @ used / len(lines)
+    log_likelihood = np.log(scale) + np.log(shape).mean(axis=1)[:, None]
+    log_posterior = np.log(prior)[:, None] - len(lines) / LINE_CORRELATION_SUM * log_likelihood
+    weight = np.exp(log_posterior - log_posterior.max(axis=0))
+    weight /= weight.sum(axis=0)
+    return np.asarray((weight * scale * at_rest[:, None]).sum(axis=0) / used.mean(axis=0))
+
+
+def _red_spectra(lines: Array) -> tuple[Array, Array, Array]:
+    """Return the powers (g, k) of spectra at the lines, their means (g,) within half a line of rest, their priors."""
+    corner, share = (grid.ravel() for grid in np.meshgrid(CORNER_LINES, WHITE_SHARES))
+    shape = 1.0 / (1.0 + (lines / corner[:, None]) ** 2) + share[:, None]
+    at_rest = 2.0 * corner * np.arctan(0.5 / corner) + share
+    prior = np.full(len(corner), (1.0 - WHITE_PRIOR) / len(corner))
+    return np.vstack([np.ones(len(lines)), shape]), np.append(1.0, at_rest), np.append(WHITE_PRIOR, prior)

@@ -15,7 +15,13 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.edge_weight import edge_weight
-from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
+from balance_cli.signals.rotor.harmonic_noise import (
+    blackman_taper,
+    line_offsets,
+    mean_line_offsets,
+    mean_noise,
+    pooled_noise,
+)
 from balance_cli.signals.rotor.joint_regression import JointRegression, complex_amplitudes, harmonic_products
 from balance_cli.signals.rotor.line_sums import LineSums, trigonometric_basis
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
@@ -140,7 +146,7 @@ def estimate_harmonics(
         _accumulate_block(sums, samples, fitted_count)
     regression = _regression(sums, fitted_count)
     amplitude = complex_amplitudes(regression.solve(sums.moment), n, fitted_count)
-    covariance, dof = _amplitude_covariance(sums, n, last - first_revolution, offsets, regression)
+    covariance, dof = _amplitude_covariance(sums, amplitude, revolutions, offsets, regression)
     w, w2 = sums.weight[:2]
     weighted_revolutions = (last - first_revolution) * w**2 / (w2 * sums.samples)
     covariance = covariance + azimuth_error_covariance(amplitude, azimuth, weighted_revolutions)
@@ -261,14 +267,23 @@ def _of_cosine_and_sine(factor: Array, n: int) -> Array:
 
 
 def _amplitude_covariance(
-    sums: _NormalEquations, n: int, turns: int, offsets: Array, regression: JointRegression
+    sums: _NormalEquations,
+    amplitude: ComplexArray,
+    revolutions: tuple[int, int],
+    offsets: Array,
+    regression: JointRegression,
 ) -> tuple[ComplexArray, Array]:
-    """Covariance (n+1, c, c) of the amplitudes and its degrees of freedom (n+1,)."""
+    """Covariance (n+1, c, c) of the amplitudes (n+1, c) and its degrees of freedom (n+1,)."""
+    n, turns = len(amplitude) - 1, revolutions[1] - revolutions[0]
     w, w2, q, q2 = sums.weight
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
     variance_ratio = (w2 / w**2) / (q2 / q**2)
-    lines = sums.lines.at(turns * np.arange(n + 1)[:, None] + offsets.astype(np.int64)) * (2.0 / q)
-    mean, others = mean_noise(lines[0], offsets), pooled_noise(lines[1:], offsets)
+    innermost = mean_line_offsets(turns)
+    beside = turns * np.arange(1, n + 1)[:, None] + offsets.astype(np.int64)
+    lines = sums.lines.at(np.concatenate([innermost.astype(np.int64), beside.ravel()])) * (2.0 / q)
+    to_start = np.exp(2j * np.pi * innermost * revolutions[0] / turns)  # lines count azimuth from the first pulse
+    mean = mean_noise(to_start[:, None] * lines[: len(innermost)], innermost, amplitude[0].real)
+    others = pooled_noise(lines[len(innermost) :].reshape(*beside.shape, lines.shape[1]), offsets)
     inflation = _of_cosine_and_sine(regression.variance_inflation(), n)
     covariance = variance_ratio * inflation[:, None, None] * np.concatenate([mean.covariance[None], others.covariance])
     return covariance, np.concatenate([mean.dof[None], others.dof])

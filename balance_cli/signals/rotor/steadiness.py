@@ -120,6 +120,12 @@ def unsteady(values: ComplexArray, sigma: Array, correlation: Array | float = 0.
     return np.asarray(np.any((excess > limit) & (change > MATERIAL_CHANGE * sigma), axis=0))
 
 
+def sigma_if_steady(values: ComplexArray) -> Array:
+    """Return the standard deviation (...) of the mean of windows (w, ...) by their scatter, which no step enlarges."""
+    few = len(values) < FEWEST_WINDOWS
+    return np.full(values.shape[1:], np.inf) if few else _scatter(values.real) / np.sqrt(len(values))
+
+
 def _critical_sum(count: int, parts: NDArray[np.int64]) -> Array:
     """Return the limit of the cumulative sum, in units of a scatter that `count` windows of so many parts tell."""
     dof = np.asarray(DIFFERENCE_DOF * (count - 2) * parts, np.float64)
