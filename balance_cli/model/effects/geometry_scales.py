@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,6 +53,12 @@ def position_bound(geometry: Geometry) -> float:
 def _largest_distance(geometry: Geometry) -> float:
     points = [geometry.hub, *(cell.position for cell in geometry.cells), *(body.position for body in geometry.bodies)]
     return float(np.linalg.norm(np.array(points), axis=1).max())
+
+
+def corner_positions(geometry: Geometry) -> tuple[dict[str, float], ...]:
+    """Coordinates x y z [m] of the corners of a cube about the origin, on each axis half as far as the rig reaches."""
+    half = 0.5 * _largest_distance(geometry)
+    return tuple(dict(zip("xyz", corner, strict=True)) for corner in product((-half, half), repeat=3))
 
 
 def rig_length(geometry: Geometry) -> float:

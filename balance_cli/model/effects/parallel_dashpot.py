@@ -14,8 +14,15 @@ from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import position_bound, rig_frequency, rig_length, stiffness_by_motion
+from balance_cli.model.effects.geometry_scales import (
+    corner_positions,
+    position_bound,
+    rig_frequency,
+    rig_length,
+    stiffness_by_motion,
+)
 from balance_cli.model.effects.places import Where, whole_rig
+from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
@@ -57,6 +64,11 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return replace(equations, damping=equations.damping + motion.T @ (dashpots.insert_axis(-1) * motion))
 
 
+def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
+    """Corners of the rig: a score far from the point of attachment is too small; the best one says where to begin."""
+    return corner_positions(geometry)
+
+
 EFFECT = Effect(
     name="parallel-dashpot",
     summary="A damper, an oil film or moving air between plate and ground takes up a force in proportion to speed.",
@@ -70,4 +82,5 @@ EFFECT = Effect(
     places=whole_rig,
     parameters=_parameters,
     apply=_apply,
+    search=SearchHints(extra_starts=_extra_starts),
 )
