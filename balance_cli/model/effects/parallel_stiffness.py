@@ -84,6 +84,12 @@ def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
     return corner_positions(geometry)
 
 
+def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: Start) -> Start:
+    """The stiffnesses that the score estimates there; one that it finds absent begins small, so that it can grow."""
+    small = {item.fitted_name: 0.1 * item.scale for item in _parameters(geometry, where)}
+    return {**start, **{name: max(value, small[name]) for name, value in estimate.items()}}
+
+
 EFFECT = Effect(
     name="parallel-stiffness",
     summary="Part of the load bypasses the cells through a spring between plate and ground.",
@@ -96,5 +102,5 @@ EFFECT = Effect(
     places=whole_rig,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(extra_starts=_extra_starts),
+    search=SearchHints(extra_starts=_extra_starts, start_from_score=_start_from_score),
 )
