@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from balance_cli.calibration.check_zeros import CheckZero, zeros_of_run
 from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise
 from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.untested_products import UntestedProducts
 from balance_cli.signals import distributions as stats
+from balance_cli.signals.distributions import CONFIDENCE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

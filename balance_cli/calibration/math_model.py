@@ -14,8 +14,6 @@ from balance_cli.calibration.weight_covariance import weight_covariance, weight_
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
-CONFIDENCE = 0.95
-"""Probability that a load lies within its prediction interval: the usual level of balance calibrations."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,7 @@ class CalibrationModel:
     def interval(self, loads: ArrayLike, reading_covariance: ArrayLike | None = None) -> Array:
         """Half-width (m, k) [N, N m] of the prediction interval at the level CONFIDENCE."""
         variance = np.diagonal(self.load_covariance(loads, reading_covariance), axis1=1, axis2=2)
-        return np.asarray(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(self.dof.min())) * np.sqrt(variance))
+        return np.asarray(stats.t.ppf(0.5 + 0.5 * stats.CONFIDENCE, float(self.dof.min())) * np.sqrt(variance))
 
     def extrapolated_components(self, loads: ArrayLike) -> tuple[str, ...]:
         """Components whose load (k,) [N, N m] lies outside the loads applied in the calibration."""
@@ -172,24 +170,13 @@ class CalibrationModel:
         return {name: float(value) for name, value in zip(self.terms, column, strict=True) if value != 0.0}
 
 
-def student_widening(dof: float) -> float:
-    """Factor on a variance estimated with so many degrees of freedom: 1.96 sigma then cover 95 %, as for a known one.
-
-    The ratio of the 97.5 % points of Student's t and of the normal distribution, squared; 1 where dof is not known.
-    """
-    if not np.isfinite(dof) or dof <= 0:
-        return 1.0
-    at = 0.5 + 0.5 * CONFIDENCE
-    return float((stats.t.ppf(at, dof) / stats.norm.ppf(at)) ** 2)
-
-
 def zero_scatter(zeros: Array) -> Array:
     """Covariance (c, c) of the zeros (s, c) of load series about their mean: what an unknown zero may differ by.
 
     Widened for the number of zeros that tell it; zero where there is but one.
     """
     s, c = zeros.shape
-    return np.atleast_2d(np.cov(zeros.T)) * student_widening(float(s - 1)) if s > 1 else np.zeros((c, c))
+    return np.atleast_2d(np.cov(zeros.T)) * float(stats.student_widening(s - 1.0)) if s > 1 else np.zeros((c, c))
 
 
 def weighted_inverse(C: Array, covariance: Array) -> Array:

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel, student_widening
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.terms import term_derivatives, term_values
 from balance_cli.signals import distributions as stats
+from balance_cli.signals.distributions import CONFIDENCE, student_widening
 
 Array = NDArray[np.float64]
 
@@ -77,7 +78,7 @@ class NonIterativeModel:
         noise = np.diag(self.inverse @ row_noise @ self.inverse.T)
         predicted_errors = self.model.press_ratio**2 * np.diag(self.model.residual_covariance)
         misfit = np.diag(np.maximum(predicted_errors - noise, 0.0))
-        widening = student_widening(float(self.model.dof.min()))
+        widening = student_widening(self.model.dof.min())
         total = reading + widening * (misfit + self.model.model_covariance(y)[0])
         return np.asarray(total * np.outer(self.calibrated_range, self.calibrated_range))
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
-from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.own_products import explaining_products, one_sided_note, usual_one_sided_terms
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
@@ -22,6 +21,7 @@ from balance_cli.calibration.series_causes import series_cause
 from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED, TermChoice
 from balance_cli.calibration.terms import term_values
 from balance_cli.signals import distributions as stats
+from balance_cli.signals.distributions import student_widening
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -256,7 +256,7 @@ def _prediction_gain_sigma(
     X = term_values(model.parsed_terms, points.loads[rows] / model.calibrated_range)
     derivative = predicted.T @ X / np.maximum(np.sum(predicted**2, axis=0), np.finfo(float).tiny)[:, None]
     variance = np.einsum("cp,cpq,cq->c", derivative, model.covariance, derivative)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0) * np.array([student_widening(dof) for dof in model.dof])))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) * student_widening(model.dof)))
 
 
 def _check_channel_gain(

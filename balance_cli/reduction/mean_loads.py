@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.load_method import MATRIX
-from balance_cli.calibration.math_model import student_widening, zero_scatter
+from balance_cli.calibration.math_model import zero_scatter
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
@@ -22,6 +22,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION, REDUNDANCY_CONFIDENCE
 from balance_cli.signals import distributions as stats
+from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.load_method import NON_ITERATIVE, iteration_name
-from balance_cli.calibration.math_model import CalibrationModel, student_widening
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.static_matrices import lack_of_fit
@@ -32,6 +32,7 @@ from balance_cli.reduction.mean_loads import (
     run_flags,
     undetermined_loads_error,
 )
+from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
@@ -169,7 +170,7 @@ def _jacobian_condition(J: Array, covariance: Array) -> float:
 def _widened_covariance(calibration: Calibration, rows: Index, coefficients: Array) -> Array:
     """Covariance (c, c) of the misfit, and by what that of the coefficients is widened for the degrees of freedom."""
     assert calibration.all_trims is not None
-    widening = student_widening(float(calibration.all_trims.loads_model.dof[rows].min()))
+    widening = student_widening(calibration.all_trims.loads_model.dof[rows].min())
     return np.asarray(widening * _misfit_covariance(calibration, rows) + (widening - 1.0) * coefficients)
 
 

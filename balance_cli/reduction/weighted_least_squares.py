@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.math_model import student_widening
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.covariance_pooling import inverse_bias_factor
 
@@ -111,7 +110,7 @@ def solve_loads(
     propagated = few | (weighting_covariance is not None)
     factor = _estimated_weights_factor(np.where(propagated, np.inf, dof), a - b)[:, None, None]
     noise_covariance = np.where(propagated[:, None, None], _propagate(G, noise), noise_covariance * factor)
-    noise_covariance *= np.array([student_widening(2.0 * float(d)) for d in dof])[:, None, None]
+    noise_covariance *= stats.student_widening(2.0 * dof)[:, None, None]
     loads = np.einsum("hba,ha->hb", G, y)
     response_error = response_covariance(loads)
     total = tested_noise + response_error

@@ -10,7 +10,6 @@ from scipy import stats
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.check_loads import CheckLoads
-from balance_cli.calibration.math_model import CONFIDENCE
 from balance_cli.calibration.tares import Tares
 from balance_cli.campaign.rig.load_components import FullScale
 from balance_cli.report.blocks import Row, Table, TableCell
@@ -24,6 +23,7 @@ from balance_cli.report.number_format import (
     value_and_sigma_text,
 )
 from balance_cli.report.reading_scale import MICROVOLTS, ReadingScale
+from balance_cli.signals.distributions import CONFIDENCE
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,9 @@ from scipy import special
 Array = NDArray[np.float64]
 Numbers = float | Array
 
+CONFIDENCE = 0.95
+"""Probability that a load lies within its interval: the usual level of balance calibrations."""
+
 
 def _positive(x: Numbers) -> Array:
     """Return x, with 0 in place of what lies below the support (its survival function is 1)."""
@@ -100,3 +103,13 @@ class t:  # noqa: N801
     def ppf(p: Numbers, dof: Numbers) -> Array:
         """Return the value below which the probability is p."""
         return np.asarray(special.stdtrit(dof, p))
+
+
+def student_widening(dof: Numbers) -> Array:
+    """Return the factor on variances estimated with so many degrees of freedom by which 1.96 sigma cover 95 %.
+
+    The ratio of the 97.5 % points of Student's t and of the normal distribution, squared; 1 where dof is not known.
+    """
+    is_known = np.isfinite(dof) & (np.asarray(dof) > 0)
+    level = 0.5 + 0.5 * CONFIDENCE
+    return np.where(is_known, (t.ppf(level, np.where(is_known, dof, 1.0)) / norm.ppf(level)) ** 2, 1.0)

@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.math_model import (
-    CONFIDENCE,
     CalibrationModel,
-    student_widening,
     zero_scatter,
 )
 from balance_cli.calibration.noniterative import NonIterativeModel
@@ -33,6 +31,7 @@ from balance_cli.campaign.rig.load_components import load_components, moment_tra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import mean_load_redundancy
 from balance_cli.signals import distributions as stats
+from balance_cli.signals.distributions import CONFIDENCE, student_widening
 from balance_cli.steps.point_attitude import rows_of_unknown_weight, weight_covariance, weight_of_metric_part
 from balance_cli.steps.point_flags import RowTests, point_flags
 from balance_cli.steps.point_zeros import CALIBRATION_ZERO, PointReadings, SubtractedZero, ZeroReading, change_from_zero
@@ -206,7 +205,7 @@ def _load_covariances(
 
 def _widening(usable: _Model) -> float:
     """Factor on variances of few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce`."""
-    return student_widening(float(usable.model.dof[usable.rows].min()))
+    return float(student_widening(usable.model.dof[usable.rows].min()))
 
 
 def _solve(usable: _Model, change: Array, direct: NonIterativeModel | None) -> tuple[Array, NDArray[np.bool_], str]:

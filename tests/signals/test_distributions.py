@@ -44,3 +44,9 @@ def test_commands_that_reduce_do_not_import_scipy_stats() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_student_widening_is_that_of_the_tables_and_none_where_the_degrees_of_freedom_are_not_known():
+    """97.5 % points of Student's t by Abramowitz and Stegun, table 26.10: 12.706, 4.303, 2.228."""
+    factor = distributions.student_widening(np.array([1.0, 2.0, 10.0, np.inf, 0.0]))
+    assert np.sqrt(factor) * 1.95996 == pytest.approx([12.706, 4.303, 2.228, 1.95996, 1.95996], rel=2e-4)

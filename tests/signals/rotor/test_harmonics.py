@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from balance_cli.calibration.math_model import student_widening
 from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
+from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonics import estimate_harmonics
@@ -158,7 +158,7 @@ def test_the_mean_of_a_short_record_under_gusts_is_covered():
         time, azimuth = time_of(1.7), azimuth_from_pulses(pulse_times(1.7, 0.0))
         gusts = colored("turbulence", rng, (len(time), 8))
         harmonics = estimate_harmonics(run_of(5.0 + gusts), azimuth)
-        sigma = np.sqrt(np.diagonal(harmonics.covariance[0]).real * student_widening(2.0 * float(harmonics.dof[0])))
+        sigma = np.sqrt(np.diagonal(harmonics.covariance[0]).real * student_widening(2.0 * harmonics.dof[0]))
         inside.append(np.abs(harmonics.amplitude[0].real - 5.0) < 1.96 * sigma)
     assert 0.85 < np.mean(inside) < 0.99
 
