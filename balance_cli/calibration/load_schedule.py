@@ -61,10 +61,6 @@ def review_load_schedule(all_trims: AllTrimsCalibration, load_series: Counts) ->
     used = np.isfinite(all_trims.residuals).all(axis=1)
     x, series = (all_trims.loads / all_trims.model.calibrated_range)[used], load_series[used]
     is_on = np.abs(x) > APPLIED_SHARE
-    varied = [
-        [bool(np.ptp(x[series == number, j]) > APPLIED_SHARE) for number in np.unique(series)]
-        for j in range(x.shape[1])
-    ]
     correlation, condition, inflation = _design(x, series)
     schedule = LoadSchedule(
         components=all_trims.model.components,
@@ -73,7 +69,7 @@ def review_load_schedule(all_trims: AllTrimsCalibration, load_series: Counts) ->
         applied=is_on.sum(axis=0),
         alone=(is_on & (is_on.sum(axis=1) == 1)[:, None]).sum(axis=0),
         levels=np.array([len(np.unique(np.round(column / SAME_LEVEL))) for column in x.T]),
-        series=np.array([sum(each) for each in varied]),
+        series=_series_that_vary(x, series),
         smallest=all_trims.model.smallest_load,
         largest=all_trims.model.largest_load,
         together=is_on.T.astype(np.intp) @ is_on.astype(np.intp),
@@ -86,6 +82,24 @@ def review_load_schedule(all_trims: AllTrimsCalibration, load_series: Counts) ->
     )
     questions = (*_open_questions(schedule), *_missing_validation(all_trims))
     return LoadSchedule(**{**vars(schedule), "open_questions": questions})
+
+
+def components_of_one_series(all_trims: AllTrimsCalibration) -> tuple[str, ...]:
+    """Return the loads that one load series alone varies, beside others: an error of its loads leaves no residual."""
+    if all_trims.load_series is None:
+        return ()
+    used = np.isfinite(all_trims.residuals).all(axis=1)
+    x, series = (all_trims.loads / all_trims.model.calibrated_range)[used], all_trims.load_series[used]
+    if len(np.unique(series)) < 2:
+        return ()
+    counts = _series_that_vary(x, series)
+    return tuple(name for name, count in zip(all_trims.model.components, counts, strict=True) if count == 1)
+
+
+def _series_that_vary(x: Array, series: Counts) -> Counts:
+    """Number (k,) of load series in which each load of the rows x (m, k) varies."""
+    varied = [np.ptp(x[series == number], axis=0) > APPLIED_SHARE for number in np.unique(series)]
+    return np.asarray(np.sum(varied, axis=0), np.intp)
 
 
 def _design(x: Array, series: Counts) -> tuple[Array, float, Array]:

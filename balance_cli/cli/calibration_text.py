@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from balance_cli.calibration.load_schedule import components_of_one_series
 from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION as MAX_INFLATION
 from balance_cli.campaign.rig.load_components import full_scale
 from balance_cli.cli.calibration_summary import nonlinear_terms_summary
@@ -137,6 +138,12 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
         yield f"All trims, {_rows_text(all_trims)} in {len(model.load_series)} load series, each with its own zero"
     for note in all_trims.series_notes or ():
         yield f"  {note}"
+    unconfirmed = components_of_one_series(all_trims)
+    if unconfirmed:
+        yield (
+            f"  {', '.join(unconfirmed)}: varied in one load series only; no other series confirms it, and "
+            "sigma does not contain an error of its loads (weights, lever arms, directions)"
+        )
     for channel, name in enumerate(model.channel_names):
         terms = nonlinear_terms_summary(all_trims, channel)
         yield f"  {name:12s} {', '.join(_term_text(term, values['t']) for term, values in terms.items()) or 'linear'}"

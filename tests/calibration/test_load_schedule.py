@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.calibration.load_schedule import review_load_schedule
+from balance_cli.calibration.load_schedule import components_of_one_series, review_load_schedule
 from balance_cli.calibration.term_choice import LINEAR_TERMS
+from balance_cli.cli.calibration_text import calibration_text
 from balance_cli.report.blocks import BulletList
 from balance_cli.report.load_schedule import load_schedule_blocks
 from balance_cli.steps.calibrate import calibrate
@@ -33,6 +34,20 @@ def test_counts_of_one_load_at_a_time(calibration) -> None:
     assert "Never applied together, so that their interaction is not known: N1 N2, N1 A, N2 A." in text
     assert "A is varied in one load series only" in text
     assert "No check loads were held out" in text
+
+
+def test_the_text_names_loads_that_no_other_series_confirms(calibration) -> None:
+    """A series of N1 confirms N1; an old artefact has no series, and a single series is no comparison."""
+    all_trims = calibration.all_trims
+    assert components_of_one_series(all_trims) == ("N1", "N2", "A")
+    lines = [line for line in calibration_text(calibration) if "in one load series only" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("  N1, N2, A: ")
+    twice = np.repeat([0, 1, 2], 9)
+    twice[4:9] = 3
+    assert components_of_one_series(replace(all_trims, load_series=twice)) == ("N2", "A")
+    for numbers in (None, np.zeros(27, np.intp)):
+        assert components_of_one_series(replace(all_trims, load_series=numbers)) == ()
 
 
 def test_inflation_of_two_correlated_loads(calibration) -> None:
