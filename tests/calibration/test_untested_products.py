@@ -51,7 +51,7 @@ def test_combined_loads_are_flagged_and_covered(power):
     for loads in 0.7 * AMPLITUDE * rng.uniform(-1, 1, (60, 6)):
         found = mean_loads(cal, curved_readings(loads, power)[0] + 2e-5 * rng.normal(size=len(NAMES)))
         assert found.flags == ("no zero; extrapolated",) * 6
-        assert "do not tell the products" in found.note and "Calibrate with combined loads" in found.note
+        assert "do not determine the products" in found.note and "Calibrate with combined loads" in found.note
         z.append((found.loads - loads) / found.sigma)
         without.append((found.loads - loads) / np.sqrt(variance_of_coefficients(cal, found)))
     assert np.sqrt(np.mean(np.square(z))) < 0.8 and np.mean(np.abs(z) < 1.96) > 0.95

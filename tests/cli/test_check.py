@@ -56,7 +56,7 @@ def test_the_sample_campaign_and_its_geometry_have_no_fault() -> None:
     result = check("-g", RIG, RIG, *files)
     assert result.exit_code == 0, result.output
     assert "sweep run `sweep-Fx-high` of rig `RTS-6`: 15 channels, 28 s at 800 Hz, rotor at 0 Hz, " in result.stdout
-    assert "multisine of Fx 40 rms" in result.stdout
+    assert "multisine of Fx 40 N rms" in result.stdout
     assert "static run `static-bare` of rig `RTS-6`: 8 channels, 121 load points, trim `bare`" in result.stdout
     assert result.stdout.endswith(f"{len(files) + 1} files, 0 with faults\n")
 
