@@ -25,11 +25,12 @@ from balance_cli.reduction.response_sources import (
     stacked_real,
     usable_channels,
 )
-from balance_cli.reduction.speed_modulation import ChannelResponse, without_speed_modulation
+from balance_cli.reduction.speed_modulation import SPEED_MEMORY, without_speed_modulation
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.record_spectrum import RecordSpectrum, record_spectrum
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.rotor.harmonic_residual import without_harmonics
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.rotor.harmonics import (
     BELOW_NYQUIST,
@@ -52,8 +53,6 @@ TRANSIENT_TIME_CONSTANTS = 7.0
 MIN_TRANSIENT_TIME = 10.0
 """Time [s] that is searched at least: a response may lack the slowest mode, and the high-pass of a piezo channel decays
 within seconds."""
-SPEED_MEMORY = 3.0
-"""Time constants over which the past rotor speed affects a harmonic: exp(-3) is 5 %."""
 MOST_MODULATION_PASSES = 3
 """Passes in which what changes with the speed is taken out, with the harmonics of the pass before; those of the first
 contain what the modes leak. Where the harmonics change by less than the response, nothing would change in the next."""
@@ -84,6 +83,12 @@ class RotorRecord:
     def spectrum_over_time(self) -> RecordSpectrum:
         """The spectrum of the usable channels in the interval of the harmonics, or in the middle of it."""
         return record_spectrum(self.run, self.health.live, self.spectra.interval)
+
+    @cached_property
+    def residual_spectrum(self) -> RecordSpectrum:
+        """The same without the harmonics, which are lines over azimuth and bands over time."""
+        rest = without_harmonics(self.run, self.azimuth, self.spectra, self.health.live)
+        return record_spectrum(rest, self.health.live, self.spectra.interval)
 
     @property
     def spin(self) -> float:
@@ -145,26 +150,13 @@ def _record(
         return RotorRecord(run, health, azimuth, harmonics(run, lines), carried_components(geometry), recorded=recorded)
     spectra = harmonics(run, other)
     for _ in range(MOST_MODULATION_PASSES):
-        even = _without_speed_modulation(run, azimuth, spectra, geometry, source, health)
+        even = without_speed_modulation(run, azimuth, spectra, geometry, source, health.live)
         if even is None:
             break
         before, spectra = spectra.amplitude[1:], harmonics(even, lines)
         if np.linalg.norm(spectra.amplitude[1:] - before) < LARGEST_RESPONSE_CHANGE * np.linalg.norm(before):
             break
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry), recorded=recorded)
-
-
-def _without_speed_modulation(
-    run: Run, azimuth: Azimuth, spectra: Harmonics, geometry: Geometry, source: ResponseSource, health: ChannelHealth
-) -> Run | None:
-    """Return the run with what changes in the harmonics with the speed taken out; None where rows are not channels."""
-    picked = source.channel_combination(spectra.frequency_hz[1:2], health.live)
-    if not picked.rows_are_channels:
-        return None
-    known = run.channel_names + COMPONENTS
-    columns = tuple(known.index(name) for name in spectra.names)
-    response = ChannelResponse(source, tuple(picked.rows), run.rotor_speed, geometry.acquisition)
-    return without_speed_modulation(run, azimuth, spectra, response, columns, SPEED_MEMORY * source.slowest_decay)
 
 
 def _steady_revolution(run: Run, azimuth: Azimuth, source: ResponseSource, health: ChannelHealth) -> int:
@@ -192,6 +184,15 @@ def tone_record(
     azimuth = azimuth_from_pulses(np.arange(cycles + 1) / frequency)
     tones = tones_beside(frequency, others, duration, FITTED_HARMONICS)
     return replace(_record(run, azimuth, 1, geometry, source, health, tones), fixed_frequency=True)
+
+
+def at_constant_speed(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> RotorRecord | None:
+    """Return the record without what its harmonics change with the rotor speed; None where that is not known."""
+    first, n = record.spectra.revolutions[0], len(record.spectra.frequency_hz) - 1
+    if record.fixed_frequency or response_is_constant(record.run, record.azimuth, first, n, source):
+        return record
+    even = without_speed_modulation(record.run, record.azimuth, record.spectra, geometry, source, record.health.live)
+    return None if even is None else replace(record, run=even)
 
 
 def _place(run: Run) -> str:

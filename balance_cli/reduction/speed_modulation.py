@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from balance_cli.campaign.recording.run import Run, SampleBlock, SampleSource
-from balance_cli.campaign.rig.geometry import Acquisition
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Acquisition, Geometry
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.azimuth import Azimuth
@@ -28,6 +29,10 @@ ComplexArray = NDArray[np.complex128]
 LEAST_LINE = 1e-7
 """Amplitude of a line over the largest of its harmonic, below which its response is not computed: with channels of
 1e-6 of their signal in noise, the sum of the lines left out is below that."""
+
+
+SPEED_MEMORY = 3.0
+"""Time constants over which the past rotor speed affects a harmonic: exp(-3) is 5 %."""
 
 
 @dataclass(frozen=True)
@@ -74,19 +79,30 @@ class ChannelResponse:
 
 
 def without_speed_modulation(
-    run: Run, azimuth: Azimuth, spectra: Harmonics, response: ChannelResponse, columns: tuple[int, ...], memory: float
-) -> Run:
+    run: Run,
+    azimuth: Azimuth,
+    spectra: Harmonics,
+    geometry: Geometry,
+    source: ResponseSource,
+    live: tuple[str, ...],
+) -> Run | None:
     """Return the run without what the harmonics of `spectra` change with the rotor speed.
 
-    `columns` are the places of the signals of `spectra` in the run: first the channels of `response`, then the loads.
-    The past speed counts for `memory` [s].
+    `live` are the usable channels, the first signals of `spectra`; the loads follow. None where the rows of the
+    response are not channels.
     """
+    picked = source.channel_combination(spectra.frequency_hz[1:2], live)
+    if not picked.rows_are_channels:
+        return None
+    response = ChannelResponse(source, tuple(picked.rows), run.rotor_speed, geometry.acquisition)
     orders = range(1, len(spectra.frequency_hz))
-    carriers = carrier_envelopes(azimuth, spectra, orders, memory)
+    carriers = carrier_envelopes(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
     modulation = np.stack([_modulation(carriers, n - 1, spectra.amplitude[n], response) for n in orders], axis=1)
     curve = CubicSpline(carriers.time, modulation, axis=0)
-    source = ModulationRemoved(run.source, sample_rate(run), carriers.frequency, curve, columns)
-    return replace(run, source=source)
+    known = run.channel_names + COMPONENTS
+    columns = tuple(known.index(name) for name in spectra.names)
+    source_of_rest = ModulationRemoved(run.source, sample_rate(run), carriers.frequency, curve, columns)
+    return replace(run, source=source_of_rest)
 
 
 def _modulation(carriers: CarrierEnvelopes, k: int, amplitude: ComplexArray, response: ChannelResponse) -> ComplexArray:

@@ -58,13 +58,20 @@ class Steadiness:
 
 
 def examine_steadiness(
-    record: RotorRecord, geometry: Geometry, source: ResponseSource, static: TrimCalibration | None, sigma: Array
+    record: RotorRecord,
+    geometry: Geometry,
+    source: ResponseSource,
+    static: TrimCalibration | None,
+    sigma: Array,
+    constant_response: ComplexArray | None = None,
 ) -> Steadiness:
     """Return which loads (n+1, m) step or drift within a record, by more than chance and by more than is immaterial.
 
     `sigma` (n+1, m) are the standard deviations that are stated for the loads; without a static calibration harmonic 0
     is not examined. What was left out at the start as a transient is examined too, from where the rig alone is steady:
     a step of the load looks like the end of a transient. A change that all harmonics have in common makes all unsteady.
+    `constant_response` (n, rows, 6) is that to the harmonics of a record from which its change with the speed was
+    taken out; without, that at the speed of each window counts, from which a light mode departs.
     """
     n = len(record.spectra.frequency_hz) - 1
     revolutions = (_first_revolution(record, source), record.spectra.revolutions[1])
@@ -73,7 +80,7 @@ def examine_steadiness(
     if not len(windows.values):
         return Steadiness(np.zeros(sigma.shape, bool))
     loads = np.zeros((len(windows.values), *sigma.shape), complex)
-    loads[:, 1:] = _harmonic_loads(windows, record, geometry, source)
+    loads[:, 1:] = _harmonic_loads(windows, record, geometry, source, constant_response)
     if static is not None:
         loads[:, 0] = _mean_loads(windows, static)
     of_harmonics = _correlation(windows, source)
@@ -174,14 +181,27 @@ def _mean_loads(windows: WindowedAmplitudes, static: TrimCalibration) -> Complex
 
 
 def _harmonic_loads(
-    windows: WindowedAmplitudes, record: RotorRecord, geometry: Geometry, source: ResponseSource
+    windows: WindowedAmplitudes,
+    record: RotorRecord,
+    geometry: Geometry,
+    source: ResponseSource,
+    constant_response: ComplexArray | None,
 ) -> ComplexArray:
-    """Return the loads (w, n, m) of each window, by the response at the speed of the window, weighted by noise."""
+    """Return the loads (w, n, m) of each window, weighted by noise.
+
+    The response is that at the speed of the window, or the same in all windows.
+    """
     count, orders = len(windows.values), np.arange(1, windows.values.shape[1])
     frequency = (windows.speed[:, None] * orders).ravel()
+    if constant_response is not None:
+        frequency = np.tile(record.spectra.frequency_hz[1:], count)
     combination = source.channel_combination(frequency, record.health.live)
     columns = [COMPONENTS.index(name) for name in record.components]
-    T = source.at(frequency, record.spin)[:, combination.rows][:, :, columns]
+    if constant_response is None:
+        response = source.at(frequency, record.spin)
+    else:
+        response = np.tile(constant_response, (count, 1, 1))
+    T = response[:, combination.rows][:, :, columns]
     filtered = combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
     volts = windows.values[:, 1:].reshape(count * len(orders), -1)
     y = np.einsum("krc,kc->kr", filtered, volts)

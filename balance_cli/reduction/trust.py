@@ -21,12 +21,13 @@ from balance_cli.reduction.flags import (
     UNTESTED,
     join_flags,
 )
-from balance_cli.reduction.harmonic_loads import RotorRecord
+from balance_cli.reduction.harmonic_loads import RotorRecord, at_constant_speed
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
-from balance_cli.reduction.steadiness import examine_steadiness
+from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.signals.record_spectrum import RecordSpectrum
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
 from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine, unmodelled_lines
 
@@ -122,19 +123,55 @@ def assess_trust(
     rejected[1:] = solution.misfit[:, None]
     contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
     n = shape[0] - 1
-    lines: tuple[UnmodelledLine, ...] = ()
     regressed, reached = 0, np.zeros(shape, bool)
-    if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
-        gain = _power_gain(record, source)
-        lines = unmodelled_lines(record.spectrum_over_time, record.azimuth, n, gain, record.other_rotors)
+    lines, steadiness = _lines_and_steadiness(record, geometry, source, static, response, sigma)
+    if not record.fixed_frequency:
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
         reached[1:] = _reached_loads(lines, record, regressed, solution, sigma[1:])
-    steadiness = examine_steadiness(record, geometry, source, static, sigma)
     pairs = contradicted_pairs(record, geometry, source, response)
     rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
     tests = steadiness.unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed
     return Trust(untested, *tests, steadiness.note)
+
+
+def _lines_and_steadiness(
+    record: RotorRecord,
+    geometry: Geometry,
+    source: ResponseSource,
+    static: TrimCalibration | None,
+    response: ComplexArray,
+    sigma: Array,
+) -> tuple[tuple[UnmodelledLine, ...], Steadiness]:
+    """Return the lines beside the harmonics of a record, and which of its loads (n+1, m) are unsteady.
+
+    Where the speed varies, a harmonic is a band over time, and beside a mode its response has lines beside it and
+    changes from window to window though the loads are constant. A record with such findings is examined again without
+    that change, over time without the harmonics.
+    """
+    lines = _unmodelled_lines(record, source)
+    steadiness = examine_steadiness(record, geometry, source, static, sigma)
+    if all(line.turns_with_rotor for line in lines) and not steadiness.unsteady[1:].any():
+        return lines, steadiness
+    even = at_constant_speed(record, geometry, source)
+    if even is None:
+        return lines, steadiness
+    constant_response = response if even is not record else None
+    steadiness = examine_steadiness(even, geometry, source, static, sigma, constant_response)
+    return _unmodelled_lines(even, source, even.residual_spectrum), steadiness
+
+
+def _unmodelled_lines(
+    record: RotorRecord, source: ResponseSource, over_time: RecordSpectrum | None = None
+) -> tuple[UnmodelledLine, ...]:
+    """Return the lines beside the harmonics; none at named frequencies: who names them knows that there are others.
+
+    `over_time` is the spectrum for tones that do not turn with the rotor, by default that of the record.
+    """
+    if record.fixed_frequency:
+        return ()
+    n, gain = len(record.spectra.frequency_hz) - 1, _power_gain(record, source)
+    return unmodelled_lines(record.spectrum_over_time, record.azimuth, n, gain, record.other_rotors, over_time)
 
 
 def _reached_loads(

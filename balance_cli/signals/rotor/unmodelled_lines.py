@@ -74,12 +74,15 @@ def unmodelled_lines(
     n: int,
     power_gain: PowerGain | None = None,
     other_rotors: Sequence[Azimuth] = (),
+    over_time: RecordSpectrum | None = None,
 ) -> tuple[UnmodelledLine, ...]:
     """Return the lines in the spectrum of a record between its pulses that harmonics 0 to `n` do not contain.
 
     `power_gain` returns |T|^2 (k, c, m) of the channels at frequencies (k,) [Hz]: a light mode that gusts excite is as
     narrow as a line in a record of a few of its time constants, and is not one as far as the response explains it.
     `other_rotors` are those whose lines were taken out of the run: what is left beside their harmonics is known.
+    `over_time` is the spectrum of the same samples that is searched for tones, by default `spectrum`: of what the
+    harmonics leave where the speed varies, which makes bands of them.
     """
     samples, rate = spectrum.rows.shape[1], spectrum.sample_rate
     if samples < FEWEST_SAMPLES:
@@ -88,7 +91,8 @@ def unmodelled_lines(
     per_turn = (samples - 1) / float(turns[-1] - turns[0])
     speed = rate / per_turn
     order, over_azimuth = line_powers(_resample_evenly(turns, spectrum.rows), per_turn)
-    spectra = _Spectra(spectrum.names, order * speed, over_azimuth, spectrum.frequency, spectrum.power)
+    tones = spectrum if over_time is None else over_time
+    spectra = _Spectra(spectrum.names, order * speed, over_azimuth, tones.frequency, tones.power)
     largest = _largest_harmonic(order, over_azimuth, n)
     time = (spectrum.first + np.array([0.0, samples - 1.0])) / rate
     ranges = [_speed_range(item, time) for item in (azimuth, *other_rotors)]
@@ -101,8 +105,8 @@ def unmodelled_lines(
     ]
     margin = SIDEBAND_BINS * spectrum.frequency[1]
     fixed_lines = [
-        UnmodelledLine(f, f / speed, names[c], a * scale[c], False)
-        for f, c, a in _peaks(spectrum.frequency, spectrum.power, largest)
+        UnmodelledLine(f, f / speed, names[c], a * tones.scale[c], False)
+        for f, c, a in _peaks(tones.frequency, tones.power, largest * np.square(scale / tones.scale, dtype=np.float32))
         if f < highest * speed and not any(_beside_harmonic(f, *span, margin) for span in ranges)
     ]
     found = sorted(rotor_lines + fixed_lines, key=lambda line: -line.amplitude)
