@@ -31,6 +31,7 @@ from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.fit_quality import fit_quality, frf_band
 from balance_cli.estimation.identifiability import parameter_identifiability
 from balance_cli.estimation.identified_model import FitQuality
+from balance_cli.estimation.levenberg_marquardt import predicted_decrease
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.maximum_likelihood import TOLERANCE
 from balance_cli.estimation.measured_spectra import Spectra
@@ -216,12 +217,22 @@ def _has_new_effects(fit: Fit, task: _UpdateTask) -> bool:
 def _refit_against_noise(fit: Fit, task: _UpdateTask) -> Fit | None:
     """The fit against the noise alone; None where all lines show an error of the model."""
     settings = task.settings
-    fit = fit_all_lines(fit.model, fit.theta, task.batches, settings.fit)
+    fit = fit_all_lines(fit.model, fit.theta, task.batches, settings.fit, settings.fit.contender_steps)
+    if not fit.minimum.converged:
+        remaining = 1.0 - predicted_decrease(fit.minimum.total) / fit.chi2
+        # The error is about in proportion to the root of chi-square.
+        if _model_error(fit, task) * np.sqrt(max(remaining, 0.0)) > settings.rounds.large_error:
+            return None
+        fit = continue_fit(fit, task.batches, settings.fit)
     fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), task.batches, settings)
+    return fit if _model_error(fit, task) <= settings.rounds.large_error else None
+
+
+def _model_error(fit: Fit, task: _UpdateTask) -> float:
+    """Rms over the runs of the model error that all lines show, a share of the response."""
     system = fit.model.system(fit.theta, derivatives=False)
-    shares = estimate_model_error(task.batches, system, None, settings.residual_map.sigma)
-    error = float(np.sqrt(np.mean(np.square(list(shares.values())))))
-    return fit if error <= settings.rounds.large_error else None
+    shares = estimate_model_error(task.batches, system, None, task.settings.residual_map.sigma)
+    return float(np.sqrt(np.mean(np.square(list(shares.values())))))
 
 
 def _search_alternatives(search_result: SearchResult, settings: SearchSettings) -> dict[str, tuple[str, ...]]:

@@ -58,6 +58,9 @@ class FitSettings:
     """Decrease of chi-square that a first step on all lines must promise: below it starts are equally good."""
     steps_before_valley: int = 8
     """Steps on all lines after which a fit counts as one along a valley: all others have converged by then."""
+    contender_steps: int = 12
+    """Steps on all lines after which fits that are compared are given up where they cannot reach the best one: all but
+    those along a valley have converged by then."""
     comparison_tolerance: float = 0.1
     """Tolerance of chi-square of fits that are compared: well below `indistinguishable_chi2`."""
     max_noise_chi2_per_dof: float = 1.05

@@ -74,12 +74,12 @@ def minimize(
     for iteration in range(1, iterations + 1):
         with_priors = data + prior_curvature(parameters, theta)
         total = problem.fix_at_bounds(theta, problem.transform_curvature(theta, with_priors))
-        predicted_decrease = _predicted_decrease(total)
-        if predicted_decrease < max(tolerance, 1e-9 * total.chi2):
+        decrease = predicted_decrease(total)
+        if decrease < max(tolerance, 1e-9 * total.chi2):
             return Minimum(theta, data, with_priors, iteration, True)
         step = _damped_step(problem, theta, total, damping)
         if step is None:
-            return Minimum(theta, data, with_priors, iteration, predicted_decrease < 1e-6 * total.chi2)
+            return Minimum(theta, data, with_priors, iteration, decrease < 1e-6 * total.chi2)
         theta, data, damping = step
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
 
@@ -164,8 +164,8 @@ def _scale_to_unit_diagonal(total: Curvature) -> tuple[Array, Array, Array]:
     return information, total.gradient * size, size
 
 
-def _predicted_decrease(total: Curvature) -> float:
-    """The decrease of chi2 that a full Gauss-Newton step would bring if the problem were linear."""
+def predicted_decrease(total: Curvature) -> float:
+    """Return the decrease of chi2 that a full Gauss-Newton step would bring if the problem were linear."""
     information, gradient, _ = _scale_to_unit_diagonal(total)
     return float(gradient @ np.linalg.lstsq(information, gradient, rcond=1e-15)[0])
 

@@ -33,6 +33,7 @@ from balance_cli.diagnosis.search.projected_scores import ParameterIndices, Proj
 from balance_cli.diagnosis.settings import ScoreSettings, SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.batch import Batch, select_lines, split_by_run
+from balance_cli.estimation.levenberg_marquardt import limit_to_bounds
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.placed_effects import PlacedEffect
@@ -215,7 +216,7 @@ def apply_score_step(
 ) -> tuple[BalanceModel, Array]:
     """Return the model with a candidate at the step of its score, from which a weak effect is quickly fitted.
 
-    The fitted parameters follow. The step is shortened until chi-square falls.
+    The fitted parameters follow, within their bounds. The step is shortened until chi-square falls.
     """
     extended, null = extend_model(model, theta, add_candidates(model.geometry, [(score.candidate, score.start)]))
     step = np.zeros(len(null))
@@ -223,6 +224,7 @@ def apply_score_step(
     step[[extended.parameters.index(name) for name in _tested_names(score.candidate.placed_effect)]] = score.step
     before = penalized_chi2(extended, null, batches)
     for fraction in settings.step_fractions:
-        if penalized_chi2(extended, null + fraction * step, batches) < before:
-            return extended, np.asarray(null + fraction * step)
+        theta = limit_to_bounds(extended.parameters, null, null + fraction * step)
+        if penalized_chi2(extended, theta, batches) < before:
+            return extended, theta
     return extended, null

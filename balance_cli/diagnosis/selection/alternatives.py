@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates, parameters_of_interest
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates, refine_point_mass
 from balance_cli.diagnosis.search.score_statistics import Score, score_in_two_stages
-from balance_cli.diagnosis.selection.candidate_refits import fit_scored_candidate
+from balance_cli.diagnosis.selection.candidate_refits import start_scored_candidate
 from balance_cli.diagnosis.selection.effect_selection import prune_effects, refit_without_effect, without_effect
 from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic
-from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
+from balance_cli.diagnosis.selection.fit import Fit, fit_contenders
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
+from balance_cli.model.balance import BalanceModel
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -107,9 +113,10 @@ def _compare(
         reduced = refit_without_effect(fit, effect, batches, settings.fit)
         gain = reduced.chi2 - fit.chi2
         near = _near_alternatives(reduced, effect, batches, gain, settings)
-        refits = {score.candidate.label: fit_scored_candidate(reduced, score, batches, settings) for score in near}
+        starts = [(score.candidate.label, start_scored_candidate(reduced, score, batches, settings)) for score in near]
     else:
-        refits = _fit_named_alternatives(fit, effect, batches, names, settings)
+        starts = _start_named_alternatives(fit, effect, batches, names, settings)
+    refits = _fit_alternatives(fit, starts, batches, settings)
     tolerance = settings.indistinguishable_chi2
     equivalent = tuple(label for label, refit in refits.items() if refit.chi2 - fit.chi2 <= tolerance)
     support = EffectSupport(gain, parameters, equivalent)
@@ -166,27 +173,46 @@ def _near_alternatives(
     return sorted(near, key=lambda score: -score.gain)[: limits.max_alternatives]
 
 
-def _fit_named_alternatives(
-    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], names: Sequence[str], settings: SearchSettings
+def _fit_alternatives(
+    fit: Fit,
+    starts: Sequence[tuple[str, tuple[BalanceModel, Array]]],
+    batches: Sequence[Batch],
+    settings: SearchSettings,
 ) -> dict[str, Fit]:
-    """Refits with each of these alternatives in the effect's place, by label."""
+    """The best refit of each label from its starts; those far from the fit or the best one are not finished."""
+    margin = settings.indistinguishable_chi2
+    refits = fit_contenders([start for _, start in starts], batches, fit.chi2 + margin, margin, settings.fit)
+    best: dict[str, Fit] = {}
+    for (label, _), refit in zip(starts, refits, strict=True):
+        if label not in best or refit.chi2 < best[label].chi2:
+            best[label] = refit
+    return best
+
+
+def _start_named_alternatives(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], names: Sequence[str], settings: SearchSettings
+) -> list[tuple[str, tuple[BalanceModel, Array]]]:
+    """Models with each of these alternatives in the effect's place, and their starts, with the labels."""
     possible = {item.label: item for item in candidates(without_effect(fit.model.geometry, effect))}
     labels = [name for name in names if name in possible and name != effect.label]
     labels = labels[: settings.selection.max_alternatives]
-    return {label: _fit_in_place(fit, effect, possible[label], batches, settings) for label in labels}
+    return [
+        (label, start)
+        for label in labels
+        for start in _starts_in_place(fit, effect, possible[label], batches, settings)
+    ]
 
 
-def _fit_in_place(
+def _starts_in_place(
     fit: Fit, effect: PlacedEffect, alternative: Candidate, batches: Sequence[Batch], settings: SearchSettings
-) -> Fit:
-    """The model with an alternative in the place of an effect, refitted from the best of its starts."""
+) -> list[tuple[BalanceModel, Array]]:
+    """The model with an alternative in the place of an effect, at each of its starts."""
     others = without_effect(fit.model.geometry, effect)
     (placed,) = place_mass_candidates([alternative], *extend_model(fit.model, fit.theta, others), batches, settings)
     if placed.fitted_start_values:
         model, null = extend_model(fit.model, fit.theta, add_candidates(others, [(placed, 0)]))
-        return fit_all_lines(model, refine_point_mass(model, null, batches, settings), batches, settings.fit)
-    refits = []
-    for number in range(len(placed.starts)):
-        geometry = add_candidates(others, [(placed, number)], at_start_values=True)
-        refits.append(fit_all_lines(*extend_model(fit.model, fit.theta, geometry), batches, settings.fit))
-    return min(refits, key=lambda refit: refit.chi2)
+        return [(model, refine_point_mass(model, null, batches, settings))]
+    return [
+        extend_model(fit.model, fit.theta, add_candidates(others, [(placed, number)], at_start_values=True))
+        for number in range(len(placed.starts))
+    ]

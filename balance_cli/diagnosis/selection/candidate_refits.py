@@ -64,13 +64,18 @@ def fit_first_steps(fit: Fit, score: Score, batches: Sequence[Batch], settings: 
     return min((start_fit(model, start, batches, settings.fit) for start in starts), key=lambda end: end.chi2)
 
 
+def start_scored_candidate(
+    fit: Fit, score: Score, batches: Sequence[Batch], settings: SearchSettings
+) -> tuple[BalanceModel, Array]:
+    """Return the model with a candidate, and its parameters at its score's step, or at the best place of a mass."""
+    if score.candidate.fitted_start_values:
+        return start_point_mass(fit, score, batches, settings)
+    return apply_score_step(fit.model, fit.theta, batches, score, settings.score)
+
+
 def fit_scored_candidate(fit: Fit, score: Score, batches: Sequence[Batch], settings: SearchSettings) -> Fit:
     """Return the refit with a candidate from its score's step, or, of a point mass, from its best place."""
-    if score.candidate.fitted_start_values:
-        model, theta = start_point_mass(fit, score, batches, settings)
-    else:
-        model, theta = apply_score_step(fit.model, fit.theta, batches, score, settings.score)
-    return fit_all_lines(model, theta, batches, settings.fit)
+    return fit_all_lines(*start_scored_candidate(fit, score, batches, settings), batches, settings.fit)
 
 
 def start_point_mass(

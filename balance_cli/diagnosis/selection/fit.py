@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.settings import FitSettings
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.levenberg_marquardt import Minimum
+from balance_cli.estimation.levenberg_marquardt import Minimum, predicted_decrease
 from balance_cli.estimation.maximum_likelihood import ITERATIONS, fit_maximum_likelihood, take_first_steps
 from balance_cli.model.balance import BalanceModel
 
@@ -66,6 +66,28 @@ def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> F
     """Return a fit of these lines, which has ended early, continued to the tolerance of chi-square in the settings."""
     tolerance, known = settings.comparison_tolerance, fit.minimum.data
     return Fit(fit.model, fit_maximum_likelihood(fit.model, batches, fit.theta, tolerance=tolerance, known=known))
+
+
+def fit_contenders(
+    starts: Sequence[tuple[BalanceModel, Array]],
+    batches: Sequence[Batch],
+    limit: float,
+    margin: float,
+    settings: FitSettings,
+) -> list[Fit]:
+    """Return the fits from several models and parameters (p,), finished only where they may be the best ones.
+
+    After their first steps they are continued in the order of chi-square, each as far as the decrease that its
+    linearization predicts would lead below `limit` and below the best one plus `margin`. Along a curved valley the
+    prediction is far too large, so that no fit is given up too early that has taken its first steps.
+    """
+    fits = [fit_all_lines(model, theta, batches, settings, settings.contender_steps) for model, theta in starts]
+    for i in sorted(range(len(fits)), key=lambda i: fits[i].chi2):
+        within_reach = fits[i].chi2 - predicted_decrease(fits[i].minimum.total) <= limit
+        if within_reach and not fits[i].minimum.converged:
+            fits[i] = continue_fit(fits[i], batches, settings)
+        limit = min(limit, fits[i].chi2 + margin)
+    return fits
 
 
 def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:

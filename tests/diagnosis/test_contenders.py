@@ -1,0 +1,84 @@
+"""Fits that are compared: those that may be the best ones are finished, the others are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.diagnosis.search.candidates import candidate_at
+from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.search.score_statistics import apply_score_step, scores
+from balance_cli.diagnosis.selection.fit import fit_all_lines, fit_contenders
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.model.balance import balance_model
+from balance_cli.model.placed_effects import add_effects
+from tests.estimation.test_likelihood import noisy_lines
+from tests.support.rigs import rotor_balance
+
+LATE = 2e-4
+HURRIED = replace(SETTINGS.fit, contender_steps=1)
+
+
+def declare(rig, label, **parameters):
+    """The rig with an effect of these parameters."""
+    extended = add_effects(rig, [label])
+    return extended.model_copy(
+        update={"effects": (*rig.effects, extended.effects[-1].model_copy(update={"parameters": parameters}))}
+    )
+
+
+@pytest.fixture(scope="module")
+def late_channel():
+    """A rig, the label of its late channel, and lines of it."""
+    rig = rotor_balance()
+    label = f"time-delay@{rig.channel_names[0]}"
+    truth = declare(rig, label, delay=LATE)
+    return rig, label, stack_runs([noisy_lines(truth, np.random.default_rng(4))], [], rig.channel_names)
+
+
+def started(rig, label):
+    """The model of a rig with an effect at its null, and its declared parameters."""
+    model = balance_model(rig)
+    return extend_model(model, model.parameters.value, declare(rig, label))
+
+
+def test_a_fit_that_cannot_reach_the_best_one_is_not_finished(late_channel):
+    rig, label, batches = late_channel
+    other = label.replace(rig.channel_names[0], rig.channel_names[1])
+    starts = [started(rig, other), started(rig, label)]
+    hopeless, best = fit_contenders(starts, batches, np.inf, SETTINGS.indistinguishable_chi2, HURRIED)
+    finished = [fit_all_lines(*start, batches, SETTINGS.fit) for start in starts]
+    assert best.minimum.converged
+    assert best.chi2 == pytest.approx(finished[1].chi2, abs=SETTINGS.fit.comparison_tolerance)
+    assert hopeless.minimum.iterations == 1
+    assert hopeless.chi2 > finished[0].chi2 > best.chi2 + 1e3
+
+
+def test_near_fits_are_all_finished(late_channel):
+    """At small delays a low-pass describes the same."""
+    rig, label, batches = late_channel
+    starts = [started(rig, label), started(rig, label.replace("time-delay", "low-pass"))]
+    fits = fit_contenders(starts, batches, np.inf, np.inf, HURRIED)
+    assert all(fit.minimum.converged for fit in fits)
+
+
+def test_none_is_finished_above_the_limit(late_channel):
+    rig, label, batches = late_channel
+    fits = fit_contenders([started(rig, label)], batches, 0.0, 6.0, HURRIED)
+    assert fits[0].minimum.iterations == 1
+
+
+def test_a_step_of_a_score_leaves_no_parameter_beyond_its_bound(late_channel):
+    """The fitted parameters follow the candidate: a loss factor of zero would become negative."""
+    rig, label, batches = late_channel
+    damped = declare(rig, "structural-damping@all", loss_factor=0.0, causality=0.0)
+    model, theta = extend_model(balance_model(rig), balance_model(rig).parameters.value, damped)
+    name = "structural-damping@all.loss_factor"
+    candidate = candidate_at("time-delay", (label.split("@")[1],), model.geometry)
+    (score,) = scores(model, theta, batches, [candidate], SETTINGS.score)
+    free = [item for item, is_free in zip(model.parameters.names, model.parameters.free, strict=True) if is_free]
+    assert score.fitted_step[free.index(name)] < 0.0
+    extended, at = apply_score_step(model, theta, batches, score, SETTINGS.score)
+    assert at[extended.parameters.index(f"{label}.delay")] > 0.5 * LATE
+    assert at[extended.parameters.index(name)] == 0.0
