@@ -190,7 +190,7 @@ def _influencing_parameters(system: System, spring: int, forces: Sequence[CellFo
     duals += [system.equations.mixing, system.equations.channel_offset]
     for path in system.equations.paths:
         if path.spring == spring:
-            duals += [path.gain, *path.low_pass, *path.high_pass, *([] if path.delay is None else [path.delay])]
+            duals += path.dual_numbers
     return np.flatnonzero(np.any([np.any(dual.derivative.reshape(p, -1), axis=1) for dual in duals], axis=0))
 
 

@@ -24,7 +24,7 @@ def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArra
 
 def _dynamics_key(path: ChannelPath) -> tuple[object, ...]:
     """What the dynamics of a channel depend on: most channels of a balance have those of another."""
-    rates = tuple(tuple(float(item.value) for item in part) for part in (path.low_pass, path.high_pass))
+    rates = tuple(tuple(float(item.value) for item in part) for part in (path.low_pass, path.high_pass, path.lead))
     return (*rates, None if path.delay is None else float(path.delay.value), path.differentiations)
 
 
@@ -36,6 +36,8 @@ def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
     for rate in path.high_pass:
         # s / (s + r) is zero at rest for any rate r > 0, and one without a high-pass.
         value = value * (s / (s + rate.value) if rate.value > 0 else 1.0)
+    for tau in path.lead:
+        value = value * (1 + s * tau.value)
     return value if path.delay is None else value * np.exp(-s * path.delay.value)
 
 
@@ -53,10 +55,11 @@ def log_gain_derivative(path: ChannelPath, s: ComplexArray, own: Mask | slice = 
         derivative = derivative - s / (1 + s * tau.value) * tau.derivative[own]
     for rate in path.high_pass:
         derivative = derivative - rate.derivative[own] / np.where(s + rate.value == 0, np.inf, s + rate.value)
+    for tau in path.lead:
+        derivative = derivative + s / (1 + s * tau.value) * tau.derivative[own]
     return derivative if path.delay is None else derivative - s * path.delay.derivative[own]
 
 
 def path_parameters(path: ChannelPath) -> NDArray[np.bool_]:
     """Which parameters (p,) change the gain of a channel."""
-    parts = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
-    return np.asarray(np.any([part.derivative != 0 for part in parts], axis=0))
+    return np.asarray(np.any([part.derivative != 0 for part in path.dual_numbers], axis=0))

@@ -115,6 +115,16 @@ def differentiate_twice(system: Realization, outputs: Sequence[int]) -> Realizat
     return replace(system, C=C, D=D)
 
 
+def add_derivative(system: Realization, output: int, time: float) -> Realization:
+    """The same system with y + time y' in place of one of its outputs y, the force of a spring on a mass.
+
+    y' = C A x + C B u. What a part without mass would contribute to D has been neglected, as in `differentiate_twice`.
+    """
+    C, D = system.C.copy(), system.D.copy()
+    C[output], D[output] = C[output] + time * C[output] @ system.A, D[output] + time * C[output] @ system.B
+    return replace(system, C=C, D=D)
+
+
 def _block_diagonal_array(blocks: Sequence[Array]) -> Array:
     return np.asarray(block_diag(*blocks), float)
 

@@ -22,6 +22,7 @@ from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.model.realization import (
     Descriptor,
     Realization,
+    add_derivative,
     differentiate_twice,
     modal_form,
     parallel,
@@ -77,7 +78,11 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
     of_spring = static_gain_system(
         np.array([[float(path.spring == spring) for spring in read] for path in system.equations.paths])
     )
-    balance = series(series(forces, of_spring), volts)
+    readings = series(forces, of_spring)
+    for i, path in enumerate(system.equations.paths):
+        for tau in path.lead:
+            readings = add_derivative(readings, i, float(tau.value))
+    balance = series(readings, volts)
     delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.equations.paths])
     return StateSpace(
         system.channel_names, balance.A, balance.B, balance.C, balance.D, delay, system.equations.mixing.value

@@ -59,7 +59,7 @@ class Mechanics:
     at its center of gravity `cg` (3,); `carried` (6, n): that of the plate and of the shafts that it carries;
     `non_metric_motion` (6, n): that of the non-metric side at the rig's origin, zero where it is rigid.
     `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its f motions, the first
-    coordinates, both (f, f).
+    coordinates, both (f, f). `cell_damping` (c,) [N s/m]: dashpots inside the cells, whose channels read their forces.
     """
 
     names: tuple[str, ...]
@@ -78,6 +78,7 @@ class Mechanics:
     forces: tuple[NonlinearCellForce, ...] = field(default=())
     plate_damping: Callable[[Array], Array] | None = None
     accelerometer_rows: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    cell_damping: Array | None = None
 
     @property
     def sensors(self) -> int:

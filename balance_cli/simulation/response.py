@@ -45,6 +45,8 @@ def force_matrix(mechanics: Mechanics) -> Array:
     cells = len(mechanics.cell_rows)
     C = np.zeros((cells + len(mechanics.torque_rows), 2 * n + len(mechanics.branches)))
     C[:cells, :n] = mechanics.cell_stiffness[:, None] * mechanics.cell_rows
+    if mechanics.cell_damping is not None:
+        C[:cells, n : 2 * n] = mechanics.cell_damping[:, None] * mechanics.cell_rows
     C[cells:, :n] = mechanics.torque_rows
     for i, branch in enumerate(mechanics.branches):
         if branch.cell is not None:

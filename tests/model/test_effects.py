@@ -146,6 +146,7 @@ TRUTHS = {
     "cell-position": truth("cell-position", ("z1",), plan=together(), offset_1=2e-4, offset_2=-3e-4),
     "transverse-stiffness": truth("transverse-stiffness", ("all",), stiffness=500.0),
     "cell-dashpot": truth("cell-dashpot", ("z1",), damping=25.0),
+    "viscous-damping": truth("viscous-damping", ("z1",), damping_time=2e-6),
     "structural-damping": truth("structural-damping", ("all",), loss_factor=6e-4, causality=1.0),
     "cubic-stiffness": truth("cubic-stiffness", ("x",), k3=3e11, side="inside"),
     "quadratic-stiffness": truth("quadratic-stiffness", ("z1",), k2=-3e8, side="beside"),

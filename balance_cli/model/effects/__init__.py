@@ -35,6 +35,7 @@ from balance_cli.model.effects import (
     support_flexibility,
     time_delay,
     transverse_stiffness,
+    viscous_damping,
     weight_misalignment,
 )
 from balance_cli.model.effects.base import Effect, EffectParameter
@@ -51,6 +52,7 @@ EFFECTS: tuple[Effect, ...] = (
     cell_position.EFFECT,
     transverse_stiffness.EFFECT,
     cell_dashpot.EFFECT,
+    viscous_damping.EFFECT,
     structural_damping.EFFECT,
     cubic_stiffness.EFFECT,
     quadratic_stiffness.EFFECT,

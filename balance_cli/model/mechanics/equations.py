@@ -42,6 +42,7 @@ class ChannelPath:
     """The path from a spring's force to volts: gain [V/N, V/(N m)], first-order low- and high-passes, pure delay.
 
     `low_pass` are time constants tau [s]: 1/(1 + j omega tau); `high_pass` are rates r [1/s]: 1/(1 + r/(j omega)).
+    `lead` are times tau [s] of viscous forces that are read with the spring's: 1 + j omega tau.
     In this form each is regular where it does nothing (0). `delay` is in s, positive if the channel is late.
     `differentiations` of the reading come first: two for an accelerometer, whose spring reads the motion of a point.
     """
@@ -51,8 +52,15 @@ class ChannelPath:
     gain: Dual
     low_pass: tuple[Dual, ...] = ()
     high_pass: tuple[Dual, ...] = ()
+    lead: tuple[Dual, ...] = ()
     delay: Dual | None = None
     differentiations: int = 0
+
+    @property
+    def dual_numbers(self) -> tuple[Dual, ...]:
+        """All numbers of the path that may depend on a parameter."""
+        delay = () if self.delay is None else (self.delay,)
+        return (self.gain, *self.low_pass, *self.high_pass, *self.lead, *delay)
 
 
 @dataclass(frozen=True)

@@ -177,6 +177,22 @@ class CellDashpot(Extension):
         return replace(mechanics, damping=mechanics.damping + self.damping * rows.T @ rows)
 
 
+@dataclass(frozen=True)
+class ViscousDamping(Extension):
+    """A dashpot inside the cell, of `damping_time` [s] times its stiffness, whose force its channels read."""
+
+    name: ClassVar[str] = "viscous-damping"
+    damping_time: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
+        """The equations with the dashpot in every cell."""
+        cells, count = self.places(geometry.cell_names), len(mechanics.cell_rows)
+        inside = np.zeros(count) if mechanics.cell_damping is None else mechanics.cell_damping.copy()
+        rows, dashpots = mechanics.cell_rows[cells], self.damping_time * mechanics.cell_stiffness[cells]
+        inside[cells] += dashpots
+        return replace(mechanics, damping=mechanics.damping + rows.T @ (dashpots[:, None] * rows), cell_damping=inside)
+
+
 RELAXATION_FREQUENCIES = np.geomspace(0.1, 3000.0, 10)
 """Relaxation frequencies [Hz] of the Maxwell branches, about two to a decade."""
 

@@ -21,6 +21,7 @@ from balance_cli.simulation.extensions.cells import (
     QuadraticStiffness,
     StructuralDamping,
     TransverseStiffness,
+    ViscousDamping,
 )
 from balance_cli.simulation.extensions.loads import (
     ExciterMass,
@@ -61,6 +62,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     CellPosition,
     TransverseStiffness,
     CellDashpot,
+    ViscousDamping,
     StructuralDamping,
     CubicStiffness,
     QuadraticStiffness,
