@@ -137,6 +137,39 @@ def structural_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
     return Hidden("structural-damping@all", {"loss_factor": loss}, replace(truth, mechanics=mechanics))
 
 
+def viscous_cell(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A cell is damped inside: its channels read the viscous force."""
+    i = int(rng.integers(0, len(truth.rig.axis)))
+    tau = _loss_at_modes(truth, rng)
+    times = np.where(np.arange(len(truth.mechanics.stiffness)) == i, tau, 0.0)
+    mechanics = replace(truth.mechanics, viscous_time=times)
+    return Hidden(f"viscous-damping@c{i + 1}", {"damping_time": tau}, replace(truth, mechanics=mechanics))
+
+
+def cell_dashpot(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A rubber boot beside a cell."""
+    i = int(rng.integers(0, len(truth.rig.axis)))
+    d = float(truth.rig.stiffness[i]) * _loss_at_modes(truth, rng)
+    row = truth.mechanics.E[i]
+    mechanics = replace(truth.mechanics, D=truth.mechanics.D + d * np.outer(row, row))
+    return Hidden(f"cell-dashpot@c{i + 1}", {"damping": d}, replace(truth, mechanics=mechanics))
+
+
+def parallel_dashpot(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A damper between plate and ground."""
+    d = np.mean(truth.rig.stiffness) * _loss_at_modes(truth, rng) * rng.uniform(0.3, 1, 3)
+    N = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
+    D = truth.mechanics.D + _padded(N.T @ np.diag(d) @ N, truth.mechanics.size)
+    parameters = {f"damping_{axis}": float(value) for axis, value in zip("xyz", d, strict=True)}
+    return Hidden("parallel-dashpot", parameters, replace(truth, mechanics=replace(truth.mechanics, D=D)))
+
+
+def _loss_at_modes(truth: Truth, rng: np.random.Generator) -> float:
+    """A time [s] with a loss factor of 0.5 to 10 % in the middle of the modes."""
+    middle = float(np.exp(np.mean(np.log(truth.rig.modes))))
+    return float(np.exp(rng.uniform(*np.log([0.005, 0.1])))) / (2 * np.pi * middle)
+
+
 def gyroscopic_coupling(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A rotor with angular momentum, in every record with the rotor turning."""
     polar = truth.rig.inertia[2, 2] * rng.uniform(0.02, 0.1)
@@ -261,6 +294,56 @@ def drifting_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
     return Hidden("", {}, replace(truth, drift={i: rng.uniform(0.01, 0.04)}))
 
 
+def relaxing_hose(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a rubber hose, three springs beside springs in series with dashpots."""
+    N = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
+    k = np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.03, 3)
+    K = _padded(N.T @ np.diag(k) @ N, truth.mechanics.size)
+    time = 1 / (2 * np.pi * float(np.exp(np.mean(np.log(truth.rig.modes)))) * rng.uniform(0.3, 3))
+    mechanics = replace(truth.mechanics, K=truth.mechanics.K + K, relaxing=((rng.uniform(0.3, 1.5) * K, time),))
+    return Hidden("", {}, replace(truth, mechanics=mechanics))
+
+
+def bilinear_cell(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a spring beside a cell that acts in compression only."""
+    i = int(rng.integers(0, len(truth.rig.stiffness)))
+    k = truth.rig.stiffness[i] * rng.uniform(0.01, 0.05)
+    law = Law(i, lambda d, state: k * np.minimum(d, 0))
+    return _beside(truth, law, "", {})
+
+
+def close_tuned_masses(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: two cables that swing at frequencies within 4 % of each other."""
+    f = float(np.exp(rng.uniform(*np.log(truth.rig.modes[[0, -1]]))))
+    mechanics, size = truth.mechanics, truth.mechanics.size
+    for factor in (1.0, 1 + rng.uniform(0.01, 0.04)):
+        m = truth.rig.mass * rng.uniform(0.003, 0.01)
+        row = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))[int(rng.integers(0, 3))]
+        k, d = m * (2 * np.pi * factor * f) ** 2, 2 * 0.02 * m * 2 * np.pi * factor * f
+        mechanics = add_coordinate(mechanics, m, 0.0, 0.0)
+        across = np.zeros(mechanics.size)
+        across[:6], across[-1] = row, -1
+        mechanics = replace(
+            mechanics, K=mechanics.K + k * np.outer(across, across), D=mechanics.D + d * np.outer(across, across)
+        )
+    assert mechanics.size == size + 2
+    return Hidden("", {}, replace(truth, mechanics=mechanics))
+
+
+def two_seals(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: two seals beside a cell, one of which slips ten times as late as the other."""
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth)
+    force, kappa = truth.rig.stiffness[i] * d * rng.uniform(0.005, 0.02), 0.1 * truth.rig.stiffness[i]
+    for limit in (force, 10 * force):
+        law = Law(
+            i,
+            lambda x, slider, limit=limit: np.clip(kappa * (x - slider), -limit, limit),  # type: ignore[misc]
+            lambda x, slider, limit=limit: np.clip(slider, x - limit / kappa, x + limit / kappa),  # type: ignore[misc]
+        )
+        truth = _beside(truth, law, "", {}).truth
+    return Hidden("", {}, truth)
+
+
 def late_clock(truth: Truth, rng: np.random.Generator) -> Hidden:
     """Unknown: half of the channels run on another clock."""
     ppm = rng.uniform(5e-6, 5e-5)
@@ -294,4 +377,8 @@ LINEAR: tuple[Cause, ...] = (
 )
 NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
 # Most of them no effect describes.
+MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot)
+"""Effects that the first sixty campaigns did not draw."""
+UNKNOWN: tuple[Cause, ...] = (relaxing_hose, bilinear_cell, close_tuned_masses, two_seals)
+"""Causes that no effect describes, and that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -44,6 +44,10 @@ class Mechanics:
     stiffness: Array
     G: Array
     loss_factor: float = 0.0
+    viscous_time: Array | None = None
+    """Dashpot over spring of each cell [s], inside it."""
+    relaxing: tuple[tuple[Array, float], ...] = ()
+    """Stiffness (n, n) of springs in series with dashpots, and the time constant [s] of each."""
     laws: tuple[Law, ...] = field(default=())
 
     @property
@@ -66,10 +70,14 @@ class Mechanics:
     def responses(self, frequency: Array, spin: float) -> ComplexArray:
         """Cell forces and shaft torque per unit load (k, n, 6) at frequencies [Hz]."""
         w = 2 * np.pi * frequency
-        law = 1 + 1j * self.loss_factor * (w > 0)
+        law = np.outer(1 + 1j * self.loss_factor * (w > 0), np.ones(len(self.stiffness)))
+        if self.viscous_time is not None:
+            law = law + 1j * np.outer(w, self.viscous_time)
         Z = -(w[:, None, None] ** 2) * self.M + 1j * w[:, None, None] * (self.D + spin * self.G)
-        Z = Z + self.K + law[:, None, None] * ((self.E.T * self.stiffness) @ self.E)
-        force = law[:, None, None] * (self.stiffness[:, None] * self.E)
+        force = law[:, :, None] * (self.stiffness[:, None] * self.E)
+        Z = Z + self.K + self.E.T @ force
+        for stiffness, time in self.relaxing:
+            Z = Z + (1j * w * time / (1 + 1j * w * time))[:, None, None] * stiffness
         return np.asarray(force @ np.linalg.solve(Z, np.broadcast_to(self.B, (len(w), *self.B.shape))))
 
 
