@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 
 from balance_cli.api.inputs import RunLike, require_disjoint, to_runs
@@ -24,6 +25,7 @@ def diagnose(
     runs: RunLike | Iterable[RunLike],
     *,
     hold_out: RunLike | Iterable[RunLike] = (),
+    band: tuple[float, float] | None = None,
     settings: SearchSettings = DEFAULT_SETTINGS,
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[Diagnosis, IdentifiedModel]:
@@ -31,7 +33,8 @@ def diagnose(
 
     Give the sweeps and static runs of the model. Check runs and sweeps of `hold_out` are read after the last decision
     and compared before and after the update; without any, check runs or one of the sweeps are kept aside for it and
-    named in `notes`. `settings` holds the thresholds of the search; `progress` is called with a
+    named in `notes`. Lines within `band` [Hz] are used, by default those within the band of the identification.
+    `settings` holds the thresholds of the search; `progress` is called with a
     description and the completed fraction. Raises UserError for a model in the paper's form, where no run is a
     sweep, and where the runs contradict the geometry or each other (`consistency` keeps what is no fault).
 
@@ -46,6 +49,7 @@ def diagnose(
     >>> diagnosis.verdict  # doctest: +SKIP
     'explained'
     """
+    model = model if band is None else replace(model, band=band)
     fitted, checks = to_runs(runs, model.geometry), to_runs(hold_out, model.geometry)
     require_disjoint(fitted, checks)
     findings = cross_check(model.geometry, fitted, identified_anyway)

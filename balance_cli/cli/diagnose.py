@@ -18,7 +18,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import NumberRange, hold_out_option
+from balance_cli.cli.options import NumberRange, check_band, hold_out_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 
@@ -62,6 +62,13 @@ EXIT_DISCREPANCY = 3
     metavar="NAME[@PLACE]",
     help="Effect to leave out of the search, at this place or everywhere (repeatable).",
 )
+@click.option(
+    "--band",
+    type=(float, float),
+    default=None,
+    metavar="FROM TO",
+    help="Use lines within this band only [Hz]; by default those of the band in which MODEL was identified.",
+)
 @click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
 @skip_bad_option
 @output_option("DIAGNOSIS")
@@ -74,6 +81,7 @@ def command(
     time_limit: float,
     suspected: tuple[str, ...],
     excluded: tuple[str, ...],
+    band: tuple[float, float] | None,
     fail_on_discrepancy: bool,
     skip_bad: bool,
     output: Path,
@@ -91,7 +99,7 @@ def command(
     from balance_cli.estimation.measured_spectra import measured_spectra
     from balance_cli.steps.hold_out import choose_hold_out
 
-    before = _load_start_model(session, model)
+    before = _load_start_model(session, model, band)
     settings = _search_settings(before, time_limit, suspected, excluded)
     records = session.runs(runs, before.geometry, skip_bad)
     records = require_consistent_runs(session, before.geometry, records, skip_bad, identified_anyway)
@@ -107,21 +115,26 @@ def command(
     diagnosis, updated_model = _judge_by_hold_out(diagnosis, updated_model, hold_out_runs, kept_aside, errors)
     session.save(output, DIAGNOSIS_FORMAT, with_findings(session, diagnosis))
     session.save(model_out, MODEL_FORMAT, with_findings(session, updated_model))
-    session.status = (
-        EXIT_DISCREPANCY if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING else session.status
-    )
+    if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
+        session.status = EXIT_DISCREPANCY
     session.finish(diagnosis_summary(diagnosis, updated_model), diagnosis_text(diagnosis))
 
 
-def _load_start_model(session: Session, path: Path) -> IdentifiedModel:
-    """Return the model to start from. Raises UserError for the paper's form, which cannot have effects."""
+def _load_start_model(session: Session, path: Path, band: tuple[float, float] | None) -> IdentifiedModel:
+    """Return the model to start from, for lines within a `band`, None for its own.
+
+    Raises UserError for the paper's form, which cannot have effects, and for a band without lines.
+    """
     from balance_cli.estimation.identified_model import IdentifiedModel
 
     model: IdentifiedModel = session.artefact(path, {MODEL_FORMAT: IdentifiedModel}, "model").content
     if model.form == "paper":
         remedy = "Give a model of `balance identify --form physical` (the default)"
         raise UserError("is in the paper's form, which has no place for an effect", str(path), "form", remedy)
-    return model
+    if band is None:
+        return model
+    check_band("--band", *band)
+    return replace(model, band=band)
 
 
 def _search_settings(

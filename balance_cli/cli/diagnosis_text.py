@@ -33,6 +33,7 @@ def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> d
         "chi2_per_dof": {"before": diagnosis.chi2_per_dof_before, "after": diagnosis.chi2_per_dof_after},
         "frf_error": {"before": diagnosis.frf_error_before, "after": diagnosis.frf_error_after},
         "frf_band": updated_model.quality.frf_band,
+        "band": updated_model.band,
         "parameters": parameters_summary(updated_model.parameters),
         "declared": declared_summary(updated_model),
         "modes": {"before": modes_summary(diagnosis.modes_before), "after": modes_summary(diagnosis.modes_after)},

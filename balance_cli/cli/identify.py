@@ -122,6 +122,7 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
         "chi2_per_dof": quality.chi2_per_dof,
         "frf_error": quality.frf_error,
         "frf_band": quality.frf_band,
+        "band": model.band,
         "runs": {name: _run_fit_summary(run) for name, run in quality.runs.items()},
         "parameters": parameters_summary(model.parameters),
         "declared": declared_summary(model),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
@@ -39,6 +41,20 @@ class Spectra:
     unused: dict[str, str]
     channels_left_out: dict[str, dict[str, str]]
     usual_noise: tuple[UsualNoise, ...] = ()
+
+    def in_band(self, band: tuple[float, float] | None) -> Spectra:
+        """Return the spectra without the lines outside a band [Hz]; means and static points stay.
+
+        Raises UserError where no line of a sweep is left.
+        """
+        if band is None:
+            return self
+        kept = tuple(_lines_in_band(run, band) for run in self.lines)
+        lines = tuple(run for run in kept if np.any(run.frequency > 0))
+        if self.lines and not lines:
+            fault = f"no line of the sweeps lies between {band[0]:g} and {band[1]:g} Hz"
+            raise UserError(fault, "--band", remedy="Give a band that the sweeps excite")
+        return replace(self, lines=lines)
 
 
 def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None = None) -> Spectra:
@@ -89,3 +105,9 @@ def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, m
     if means:
         return nonperiodic_spectrum_with_waveform(run, channel_names, geometry)
     return nonperiodic_spectrum(run, channel_names)
+
+
+def _lines_in_band(run: RunSpectrum, band: tuple[float, float]) -> RunSpectrum:
+    """The mean and the lines inside the band; the same object where all are."""
+    keep = (run.frequency == 0) | ((run.frequency >= band[0]) & (run.frequency <= band[1]))
+    return run if keep.all() else run.select(keep)

@@ -48,9 +48,11 @@ def diagnose(
 ) -> tuple[Diagnosis, IdentifiedModel]:
     """Return the diagnosis, without hold-out runs, and the updated model.
 
-    `spectra` include means and waveforms. Raises UserError for a model of the paper's form, and without any sweep.
+    `spectra` include means and waveforms; lines outside the band of the model are left out. Raises UserError for a
+    model of the paper's form, and without any sweep or any line in the band.
     """
     _check_inputs(model, spectra)
+    spectra = spectra.in_band(model.band)
     announce = _Announcer(progress, settings.time_limit)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)
@@ -66,6 +68,7 @@ def diagnose(
     fit = update.fit
     after = (fit.model, fit.theta)
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
+    updated = replace(updated, band=model.band)
     same_effects = effect_labels(fit.model) == effect_labels(before[0])
     if same_effects and exclusion is None and updated.quality.chi2 > quality.chi2:
         # The effects are the same, and a fit that had to carry a model error describes the data worse.

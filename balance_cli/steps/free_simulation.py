@@ -26,7 +26,7 @@ from balance_cli.model.placed_effects import declared_effects, effect_label
 from balance_cli.simulation.extensions.library import EXTENSIONS
 from balance_cli.simulation.replay import replay_loads
 from balance_cli.simulation.rig import TrueRig, apply_effects, true_rig
-from balance_cli.steps.identify import identify
+from balance_cli.steps.identify import IdentifyOptions, identify
 
 Array = NDArray[np.float64]
 Diagnose = Callable[..., tuple[Diagnosis, IdentifiedModel]]
@@ -153,7 +153,8 @@ def _is_contradicted(
     linear_effects = tuple(
         item for item in updated.geometry.effects if effect_label(item.name, item.where) not in words
     )
-    linear = identify(task.spectra, updated.geometry.model_copy(update={"effects": linear_effects}))
+    linear_geometry = updated.geometry.model_copy(update={"effects": linear_effects})
+    linear = identify(task.spectra, linear_geometry, IdentifyOptions(band=updated.band))
     errors = [
         (simulation_error(run, linear, settings), simulation_error(run, updated, settings))
         for run in _test_runs(task, settings)

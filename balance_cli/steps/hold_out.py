@@ -152,7 +152,7 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
         run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     except np.linalg.LinAlgError:
         return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0), None
-    spectra = measured_spectra([run], model.geometry, means=False)
+    spectra = measured_spectra([run], model.geometry, means=False).in_band(model.band)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]
     return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor), None

@@ -42,12 +42,10 @@ from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effect
 from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects
 from balance_cli.model.system import System
-from balance_cli.signals.run_spectrum import RunSpectrum
 from balance_cli.steps.identify_paper_form import identify_in_paper_form
 
 Array = NDArray[np.float64]
 
-FULL_BAND = (0.0, np.inf)
 # Band of the equation error: frequency zero, which has no information on mass and damping, is left out.
 DYNAMIC_BAND = (float(np.finfo(float).tiny), np.inf)
 
@@ -78,12 +76,7 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
     _check_effects(geometry, options)
     if options.form == "paper":
         return identify_in_paper_form(spectra, geometry, _paper_options(options))
-    band = options.band or FULL_BAND
-    lines = tuple(item for item in (_restrict_to_band(run, band) for run in spectra.lines) if len(item.frequency))
-    if options.method != "computed" and not lines:
-        fault = f"no line of the sweeps lies between {band[0]:g} and {band[1]:g} Hz"
-        raise UserError(fault, "--band", remedy="Give a band that the sweeps excite")
-    return _identify_physical_form(replace(spectra, lines=lines), geometry, options)
+    return replace(_identify_physical_form(spectra.in_band(options.band), geometry, options), band=options.band)
 
 
 def _check_effects(geometry: Geometry, options: IdentifyOptions) -> None:
@@ -114,12 +107,6 @@ def _identify_physical_form(spectra: Spectra, geometry: Geometry, options: Ident
         settings = replace(DEFAULT_SETTINGS, fit=replace(DEFAULT_SETTINGS.fit, comparison_tolerance=TOLERANCE))
         minimum = refit_at_best_frequency(Fit(model, minimum), model.effects, batches, settings).minimum
     return build_identified_model(model, batches, minimum, options.method, start, spectra)
-
-
-def _restrict_to_band(lines: RunSpectrum, band: tuple[float, float]) -> RunSpectrum:
-    """The lines inside the band; the same object where all are."""
-    keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
-    return lines if keep.all() else lines.select(keep)
 
 
 def _declared_estimate(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:

@@ -132,6 +132,19 @@ def test_other_kinds_among_the_runs_are_left_out_and_never_fitted(diagnose, engi
     assert seen == {path.stem for path in fitted(folder)}
 
 
+def test_the_lines_are_those_of_the_identification_or_of_a_band(diagnose, folder, tmp_path):
+    assert diagnose()[1]["band"] is None
+    assert diagnose("--band", 10, 40)[1]["band"] == [10.0, 40.0]
+    updated = load_artefact(tmp_path / "updated.h5", {"balance-model/1": IdentifiedModel}).content
+    assert updated.band == (10.0, 40.0)
+    result, _ = diagnose("--band", 40, 10, status=2)
+    assert "--band: no line lies between 40 and 10 Hz" in result.stderr
+    model, summary = tmp_path / "narrow.model", tmp_path / "narrow.json"
+    call("identify", "-g", folder / "geometry.yaml", *fitted(folder), "--band", 20, 40, "-o", model, "--json", summary)
+    assert json.loads(summary.read_text())["band"] == [20.0, 40.0]
+    assert load_artefact(model, {"balance-model/1": IdentifiedModel}).content.band == (20.0, 40.0)
+
+
 def test_without_hold_out_it_warns_and_goes_on(diagnose):
     result, output = diagnose(held=())
     assert "no hold-out" in result.stderr

@@ -10,11 +10,9 @@ from balance_cli.diagnosis.search.rounds import RoundResult
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects.geometry_scales import inertia_by_motion, stiffness_by_motion
-from balance_cli.model.system_response import solve
-from balance_cli.signals.run_spectrum import RunSpectrum
+from tests.support.model_lines import model_lines
 from tests.support.rigs import two_degrees_of_freedom
 
 NOISE = 1e-4
@@ -35,30 +33,9 @@ def supported_model():
     return balance_model(rig.model_copy(update={"effects": (support,)}))
 
 
-def swept_lines(model, component, column, frequency, rng):
-    system = model.system(model.parameters.value)
-    load = 40.0
-    volts = load * exciter_response(system, solve(system, frequency, 0.0))[:, :, column]
-    sigma = np.append(NOISE * np.sqrt(np.mean(np.abs(volts) ** 2, axis=0)), NOISE * load)
-    exact = np.column_stack([volts, np.full(len(frequency), load)])
-    noise = (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)) * sigma / np.sqrt(2.0)
-    z = exact + noise
-    return RunSpectrum(
-        run=f"sweep-{component}",
-        channel_names=model.geometry.channel_names,
-        components=(component,),
-        frequency=frequency,
-        channels=z[:, :-1],
-        loads=z[:, -1:],
-        covariance=np.broadcast_to(np.diag(sigma**2).astype(complex), (len(frequency), len(sigma), len(sigma))),
-        dof=np.inf,
-        level=(load,),
-    )
-
-
 def search_lines_of(model):
     rng, frequency = np.random.default_rng(3), np.linspace(2.0, 80.0, 80)
-    runs = [swept_lines(model, name, i, frequency, rng) for name, i in (("Fz", 2), ("My", 4))]
+    runs = [model_lines(model, name, i, frequency, NOISE, rng) for name, i in (("Fz", 2), ("My", 4))]
     batches = stack_runs(runs, (), model.geometry.channel_names)
     return SearchLines(batches, batches)
 

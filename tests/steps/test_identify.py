@@ -1,11 +1,15 @@
 """Identification of a simulated balance: truth from the integration in time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.io.errors import UserError
 from balance_cli.model.parameters import declared_parameters
+from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import IdentifyOptions, identify
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 from tests.support.truth import response_errors, true_parameters
@@ -118,3 +122,26 @@ def test_the_papers_form_finds_the_same_modes(campaign, identified):
     assert model.paper is not None
     with pytest.raises(UserError, match="identified, not computed"):
         identify(spectra, campaign.geometry, IdentifyOptions(form="paper", method="computed"))
+
+
+def test_a_band_keeps_means_and_leaves_the_other_lines_out(campaign):
+    sweeps = campaign.runs_of_kind("sweep")[:2]
+    spectra = measured_spectra(sweeps, campaign.geometry, means=True)
+    assert spectra.in_band(None) is spectra
+    narrow = spectra.in_band((10.0, 40.0))
+    for whole, kept in zip(spectra.lines, narrow.lines, strict=True):
+        inside = (whole.frequency == 0) | ((whole.frequency >= 10.0) & (whole.frequency <= 40.0))
+        np.testing.assert_array_equal(kept.frequency, whole.frequency[inside])
+        np.testing.assert_array_equal(kept.channels, whole.channels[inside])
+        assert 0.0 in kept.frequency and len(kept.frequency) < len(whole.frequency)
+
+
+def test_a_diagnosis_stays_in_the_band_of_its_model(campaign):
+    runs = campaign.runs_of_kind("sweep")[:3]
+    spectra = measured_spectra(runs, campaign.geometry, means=True)
+    model = identify(measured_spectra(runs, campaign.geometry), campaign.geometry, IdentifyOptions(band=(10.0, 40.0)))
+    found, updated = diagnose(model, spectra, settings=replace(DEFAULT_SETTINGS, time_limit=0.0))
+    assert model.band == updated.band == (10.0, 40.0)
+    edges, size = found.residual.edges, found.residual.after
+    outside = (edges[1:] < 10.0) & (edges[:-1] > 0.0) | (edges[:-1] > 40.0)
+    assert np.isnan(size[:, outside]).all() and not np.isnan(size[:, ~outside]).all()

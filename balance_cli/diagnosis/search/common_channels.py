@@ -1,0 +1,91 @@
+"""Effects that all channels share, tried by whole fits where a model misses a large part of the response.
+
+A delay of all channels against the loads (a command recorded in place of the force, one late box) turns the phase at
+a resonance by tens of degrees. A fit without it ends at a damping far above the declared one, which turns the phase in
+the same way, and there the score of the delay is small. With the effect in the model a regression on the equations of
+motion comes near the truth (`estimation.starting_values`). The channels of a cell cannot show such an effect, as all
+have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from balance_cli.campaign.rig.channel_groups import channel_groups
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.result import Trial
+from balance_cli.diagnosis.search.candidates import Candidate, candidates
+from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
+from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
+from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.estimation.starting_values import start_from_equations_of_motion
+
+REASON = "the model misses a large part of the response, and a whole fit with it describes more"
+
+
+def add_common_effect(
+    state: SearchState, lines: SearchLines, settings: SearchSettings
+) -> tuple[SearchState, tuple[Trial, ...], dict[str, dict[str, float]]]:
+    """Return the state with the common effect that describes most, the trials, and the gains of all by its label.
+
+    The state stays where its error is not gross, and where no effect lowers the error clearly on both sets of lines.
+    """
+    limits = settings.rounds
+    if state.error <= limits.gross_error:
+        return state, (), {}
+    ends = {item.label: _whole_fit(state, item, lines, settings) for item in _common_candidates(state, settings)}
+    gains = {
+        label: state.fit_criterion - end.fit_criterion - settings.parameter_cost * len(end.theta[len(state.theta) :])
+        for label, end in ends.items()
+    }
+    best = max(gains, key=lambda label: gains[label], default=None)
+    is_better = best is not None and (
+        ends[best].error < limits.slow_progress * state.error
+        and ends[best].validation_criterion < state.validation_criterion
+    )
+    accepted = best if is_better else None
+    trials = tuple(_trial(label, gain, label == accepted) for label, gain in gains.items())
+    if accepted is None:
+        return state, trials, {}
+    return ends[accepted], trials, {accepted: gains}
+
+
+def _common_candidates(state: SearchState, settings: SearchSettings) -> Sequence[Candidate]:
+    """The effects that turn the phase of a channel, at the group of most channels."""
+    place = _widest_group(state.geometry)
+    return [
+        item
+        for item in candidates(state.geometry, excluded=settings.excluded)
+        if item.placed_effect.where == (place,)
+        and item.effect.search.channel_ratio is not None
+        and not item.effect.search.channel_ratio.sensitivity
+    ]
+
+
+def _widest_group(geometry: Geometry) -> str:
+    """The group of most channels, or the only channel."""
+    groups = channel_groups(geometry)
+    return max(groups, key=lambda name: len(groups[name]), default=geometry.channel_names[0])
+
+
+def _whole_fit(state: SearchState, candidate: Candidate, lines: SearchLines, settings: SearchSettings) -> SearchState:
+    """The fit from a regression that begins at the declared values, as those of the state fit without the effect."""
+    geometry = add_candidates(state.geometry, [(candidate, 0)], at_start_values=True)
+    model, _ = extend_model(state.model, state.theta, geometry)
+    declared = model.parameters.value
+    theta = start_from_equations_of_motion(model.parameters, lines.fitted, model.system, declared)
+    return fit_until_stable(model, theta, lines, settings.fit)
+
+
+def _trial(label: str, gain: float, accepted: bool) -> Trial:
+    return Trial(
+        round=1,
+        label=label,
+        score=float("nan"),
+        parameters=1,
+        p_value=0.0 if accepted else 1.0,
+        gain=gain,
+        decision="accepted" if accepted else "rejected",
+        reason=REASON if accepted else "a whole fit with it describes no more",
+    )

@@ -1,0 +1,79 @@
+"""A delay of all channels that a fit has taken for damping is found; where little is missing nothing is tried."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.channel_groups import channel_groups
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.search.common_channels import add_common_effect
+from balance_cli.diagnosis.search.refit import fit_until_stable
+from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.model.balance import balance_model
+from balance_cli.model.modes import modes
+from tests.support.model_lines import model_lines
+from tests.support.rigs import two_degrees_of_freedom
+
+RIG = two_degrees_of_freedom()
+(GROUP,) = [name for name, members in channel_groups(RIG).items() if set(members) == set(RIG.channel_names)]
+NOISE = 1e-3
+
+
+def natural_frequencies():
+    model = balance_model(RIG)
+    return modes(model.system(model.parameters.value)).frequency
+
+
+def late_lines(delay):
+    """Lines of two sweeps of the rig, all channels late by `delay` [s]."""
+    model, rng = balance_model(RIG), np.random.default_rng(5)
+    frequency = np.linspace(0.1, 2.0, 120) * natural_frequencies().min()
+    runs = [model_lines(model, name, i, frequency, NOISE, rng, delay) for name, i in (("Fz", 2), ("My", 4))]
+    batches = stack_runs(runs, (), RIG.channel_names)
+    return SearchLines(batches, batches)
+
+
+def fitted_state(lines, *effects):
+    model = balance_model(RIG.model_copy(update={"effects": effects}))
+    return fit_until_stable(model, model.parameters.value, lines, SETTINGS.fit)
+
+
+@pytest.fixture(scope="module")
+def late():
+    """A delay of a fifth of the period of the lowest mode, 72 degrees there."""
+    delay = 0.2 / natural_frequencies().min()
+    lines = late_lines(delay)
+    return delay, lines, fitted_state(lines)
+
+
+def test_a_delay_that_damping_has_imitated_is_found(late):
+    delay, lines, state = late
+    assert state.error > SETTINGS.rounds.gross_error
+    found, trials, alternatives = add_common_effect(state, lines, SETTINGS)
+    label = f"time-delay@{GROUP}"
+    assert [trial.label for trial in trials if trial.decision == "accepted"] == [label]
+    assert label in alternatives
+    assert found.theta[found.model.parameters.index(f"{label}.delay")] == pytest.approx(delay, rel=2e-3)
+    assert found.error < 3 * NOISE
+
+
+def test_the_effect_is_not_tried_where_it_is_excluded(late):
+    _, lines, state = late
+    _, trials, _ = add_common_effect(state, lines, replace(SETTINGS, excluded=("time-delay",)))
+    assert trials and not [trial for trial in trials if trial.label.startswith("time-delay")]
+
+
+def test_an_effect_of_the_model_is_not_added_again(late):
+    delay, lines, _ = late
+    present = DeclaredEffect(name="time-delay", where=(GROUP,), parameters={"delay": delay})
+    state = fitted_state(lines, present)
+    assert add_common_effect(state, lines, SETTINGS) == (state, (), {})
+
+
+def test_nothing_is_tried_where_little_is_missing():
+    lines = late_lines(1e-3 / natural_frequencies().min())
+    state = fitted_state(lines)
+    assert add_common_effect(state, lines, SETTINGS) == (state, (), {})
