@@ -22,7 +22,7 @@ from balance_cli.importers.base import (
 )
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, require_file
-from balance_cli.io.text_cells import require_no_workbook
+from balance_cli.io.text_cells import require_plain_text
 
 FORMATS = ("tdms", "mdf", "mat", "hdf5", "wav", "parquet", "uff", "text")
 """Modules in the order in which they are asked. A file of MATLAB 7.3 is also one of HDF5, and any other file may be
@@ -37,7 +37,7 @@ def open_foreign(path: Path, layout: TextLayout | None = None) -> ForeignFile:
             raise UserError(f"is {describe_file(path)}, where a recording was expected", remedy="Give a data file")
         with path.open("rb") as file:
             head = file.read(SNIFFED_BYTES)
-        require_no_workbook(head, path)
+        require_plain_text(head, path)
         opened = _format_of(path, head).open_file(path, layout or TextLayout())
         groups = tuple(_with_possible_size(path, group) for group in opened.groups)
     except UserError as error:

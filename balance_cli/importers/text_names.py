@@ -16,7 +16,7 @@ UNIT_SHARE = 0.5
 KEY = re.compile(r"^[A-Za-z][\w -]*:$")
 """The first cell of a row of a head that says what the others are, as imc writes it: `Name:`, `Unit:`, `dx:`."""
 NAME_KEYS = ("name", "names", "channel name", "channel names", "channel", "kanalname", "kanal", "signal")
-UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "y-unit")
+UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "y-unit", "y_unit_label")
 REMARK_SIGNS = (*REMARKS, ";", "!")
 """Signs before the names of a head of remarks."""
 
@@ -40,12 +40,15 @@ def names_and_units(header: Rows, data: Rows, layout: TextLayout) -> tuple[tuple
     if unit_row is None and layout.name_row is None and len(plain) > 1:
         unit_row = next((k for k in reversed(plain) if _are_units(rows[k])), None)
     rest = [k for k in plain or candidates if k != unit_row and (plain or len(rows[k]) == width)]
-    name_row = layout.name_row - 1 if layout.name_row else _best_names(rows, rest, unit_row)
+    is_keyed = unit_row is not None and _says_units(rows[unit_row])
+    # Names stand above a row of units, but below the keyed rows of LabVIEW.
+    name_row = layout.name_row - 1 if layout.name_row else _best_names(rows, rest, None if is_keyed else unit_row)
     shift = 0 if layout.name_row or name_row is None else _shift(rows[name_row], data, width)
     names = _padded(rows, name_row, width, shift)
     if name_row is not None and not layout.name_row:
         names = _completed(names, [_padded(rows, k, width, shift) for k in reversed(rest) if k < name_row])
     units = _padded(rows, unit_row, width, shift if unit_row is not None and len(rows[unit_row]) < width else 0)
+    units = ["", *units[1:]] if is_keyed else units
     pairs = [split_unit(name.lstrip("#").strip()) for name in names]
     shown = tuple(name if any(names) else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
     from_names = [unit or "" for _, unit in pairs]
@@ -133,8 +136,17 @@ def _strip_unit(text: str) -> str:
 
 
 def _are_units(row: Sequence[str]) -> bool:
-    """Whether a row is one of units: more than half of its cells are, or half of them and some occur twice."""
+    """Whether a row is one of units: more than half of its cells are, or half of them and some occur twice.
+
+    A first cell that says what the others are, as LabVIEW writes it, does not count.
+    """
+    row = row[1:] if _says_units(row) else row
     cells = [_strip_unit(cell.lstrip("#")) for cell in row if cell and not is_missing(cell)]
     units = [cell for cell in cells if is_unit(cell)]
     least = UNIT_SHARE * len(cells)
     return len(units) > least or (len(units) >= least and len(set(units)) < len(units))
+
+
+def _says_units(row: Sequence[str]) -> bool:
+    """Whether the first cell of a row says that the others are units."""
+    return bool(row) and row[0].rstrip(":").lower() in UNIT_KEYS

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from balance_cli.importers.base import ChannelGroup
-from balance_cli.io.units import is_unit, parse_unit
+from balance_cli.io.units import TIME, can_be_unit_of
 
 TIME_NAME = re.compile(r"^(?:.*/)?(time|zeit|temps|timestamp|x[ _]value|t)([\W_\d].*)?$", re.IGNORECASE)
 """A group may stand before the name, as in `Untitled/Time`."""
@@ -35,7 +35,7 @@ def time_columns(
 
 def _is_time_column(name: str, unit: str) -> bool:
     if unit:
-        return is_unit(unit) and parse_unit(unit).dimension == "s"
+        return can_be_unit_of(unit, TIME)
     return bool(TIME_NAME.match(name))
 
 

@@ -11,12 +11,20 @@ SEPARATORS = ("\t", ";", "|", ",", " ")
 REMARKS = ("#", "%", "//")
 """Signs with which remarks begin."""
 WORKBOOK_SIGNATURE = b"PK\x03\x04"
+MARKUP_SIGNATURES = (b"<?xml", b"\xef\xbb\xbf<?xml", b"<!DOCTYPE", b"<html")
+SENSOR_MARK = b"<FTSensor"
+"""The element of ATI's calibration files."""
 
 
-def require_no_workbook(head: bytes, path: Path) -> None:
-    """Raise UserError where a file begins as the workbooks of spreadsheets do."""
+def require_plain_text(head: bytes, path: Path) -> None:
+    """Raise UserError where a file begins as workbooks of spreadsheets, XML or web pages do."""
     if head.startswith(WORKBOOK_SIGNATURE):
         raise UserError("is a workbook (or another zip file)", str(path), remedy="Save the sheet as CSV")
+    if SENSOR_MARK in head:
+        remedy = "Give it to `balance calibrate --from-matrix`"
+        raise UserError("is the calibration matrix of an ATI sensor, and no table", str(path), remedy=remedy)
+    if head.lstrip().startswith(MARKUP_SIGNATURES):
+        raise UserError("is XML or a web page, and no table", str(path), remedy="Export the table as CSV")
 
 
 def is_remark(line: str) -> bool:

@@ -127,9 +127,8 @@ def parse_unit(text: str, *dimensions: str) -> Unit:
         return fitting[0]
     if fitting:
         meanings = " or ".join(f"a unit of {unit.dimension}" for unit in fitting)
-        raise UserError(
-            f"the unit `{text.strip()}` can be {meanings}", remedy=f"Write {_suggest(spelling, dimensions)}"
-        )
+        clear = " or ".join(unit.dimension for unit in fitting)
+        raise UserError(f"the unit `{text.strip()}` can be {meanings}", remedy=f"Convert the values to {clear}")
     if units:
         fault = f"`{text.strip()}` is a unit of {units[0].dimension}, where one of {' or '.join(dimensions)} is needed"
         raise UserError(fault, remedy=_remedy_for_mass(units, dimensions) or f"Write {_suggest(spelling, dimensions)}")
@@ -140,6 +139,13 @@ def is_unit(text: str) -> bool:
     """Whether a text names a unit, of one dimension or several."""
     spelling = _normalize(text)
     return bool(spelling) and bool(_units_by_spelling().get(spelling) or _ignore_case(spelling))
+
+
+def can_be_unit_of(text: str, dimension: str) -> bool:
+    """Whether a text names a unit of a dimension (its base unit), whatever else it may name."""
+    spelling = _normalize(text)
+    units = _units_by_spelling().get(spelling) or _ignore_case(spelling) if spelling else ()
+    return any(unit.dimension == dimension for unit in units)
 
 
 def split_unit(header: str) -> tuple[str, str | None]:

@@ -39,6 +39,27 @@ def grouped(value, sign, decimal):
     return f"{value:,.3f}".replace(",", "~").replace(".", decimal).replace("~", sign)
 
 
+def labview(columns):
+    """A file of LabVIEW with two channels in g and its whole head; `columns` of times are One or Multi."""
+    gap = "\t\t" if columns == "Multi" else "\t"
+    keys = (
+        ("Channels", "2"),
+        ("Samples", "64" + gap + "64"),
+        ("Date", "2022/05/16" + gap + "2022/05/16"),
+        ("Time", "13:09:28.4412030687499793341" + gap + "13:09:28.4412030687499793341"),
+        ("Y_Unit_Label", "g" + gap + "g"),
+        ("X_Dimension", "Time" + gap + "Time"),
+        ("X0", "0.0E+0" + gap + "0.0E+0"),
+        ("Delta_X", "0.001000" + gap + "0.001000"),
+    )
+    head = f"LabVIEW Measurement\t\nSeparator\tTab\nX_Columns\t{columns}\n***End_of_Header***\t\n\t\n"
+    head += "".join(f"{key}\t{cells}\t\n" for key, cells in keys) + "***End_of_Header***\t\t\n"
+    if columns == "Multi":
+        rows = lines(lambda k: f"{TIME[k]:.6f}\t{X[k, 0]}\t{TIME[k]:.6f}\t{X[k, 1]}")
+        return head + "X_Value\tA\tX_Value\tB\tComment\n" + rows
+    return head + "X_Value\tA\tB\tComment\n" + lines(lambda k: f"{TIME[k]:.6f}\t{X[k, 0]}\t{X[k, 1]}")
+
+
 def with_thousands(sep, sign, decimal, quote=""):
     cell = lambda value: quote + grouped(value, sign, decimal) + quote  # noqa: E731
     return lines(lambda k: sep.join([f"{TIME[k]:.3f}".replace(".", decimal), *map(cell, LARGE[k])]))
@@ -61,6 +82,9 @@ def whole(file, name):
 RIGHT = {
     "LabVIEW, one column of times": (LVM.format("One", 0.001, 0.001) + plain("\t", end="\t"), X, "time: X_Value"),
     "LabVIEW, none": (LVM.format("No", 0.001, 0.001) + lines(lambda k: f"\t{X[k, 0]}\t{X[k, 1]}\t"), X, "1000"),
+    "LabVIEW, with units": (labview("One"), X, "A: {name: A, unit: g,"),
+    "LabVIEW, times and values in turn": (labview("Multi"), X, "B: {name: B, unit: g,"),
+    "accelerations in g": ("time [s],A [g],B [g]\n" + plain(","), X, "A: {name: A, unit: g,"),
     "catman with a row behind the units": (CATMAN + "Datum 12.03.2024\t\t\n" + plain("\t", ","), X, "time: "),
     "catman with keys": (
         "Channel name:\tTime 1\tA\tB\nUnit:\ts\tN\tN\nSensor:\t\tU10M\tT10F\n" + plain("\t", begin="\t"),

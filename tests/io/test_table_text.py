@@ -110,6 +110,14 @@ def test_other_files_are_named(tmp_path: Path) -> None:
     path.write_bytes(b"PK\x03\x04rest")
     with pytest.raises(UserError, match="workbook"):
         read_table(path)
+    for text, fault in (
+        ('<?xml version="1.0"?>\n<FTSensor Serial="1"/>', "calibration matrix of an ATI sensor.*--from-matrix"),
+        ('\ufeff<?xml version="1.0"?>\n<a/>', "XML or a web page"),
+        ("\n<!DOCTYPE html>\n<p>1,2</p>", "XML or a web page"),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(UserError, match=fault):
+            read_table(path)
     with pytest.raises(UserError, match="no such file"):
         read_table(tmp_path / "none.csv")
 

@@ -18,6 +18,7 @@ from balance_cli.io.units import (
     VOLTAGE,
     Unit,
     _all_units,
+    can_be_unit_of,
     parse_unit,
     short_reading,
     split_unit,
@@ -84,8 +85,10 @@ def test_meaning_follows_the_dimension() -> None:
     assert parse_unit("C", TEMPERATURE).symbol == "degC"
     assert parse_unit("pC", CHARGE).factor == 1e-12
     assert parse_unit("lb", FORCE).symbol == "lbf"
-    with pytest.raises(UserError, match="can be a unit of"):
+    with pytest.raises(UserError, match=r"can be a unit of m/s2 or a unit of kg\. Convert the values to m/s2 or kg"):
         parse_unit("g")
+    assert can_be_unit_of("g", MASS) and can_be_unit_of("g", ACCELERATION)
+    assert not can_be_unit_of("g", FORCE) and not can_be_unit_of("", MASS) and not can_be_unit_of("Newtn", FORCE)
 
 
 def test_temperatures() -> None:
