@@ -24,7 +24,7 @@ MIN_SERIES_ROWS = 3
 MAX_INTRUDING_SHARE = 0.05
 """Share of the rows that may intrude, as that of outliers; more of them are single loads that were meant."""
 MIN_RETURNS = 2
-"""Returns to the first load from which it is a tare point, and not a load that was applied twice."""
+"""Returns to a first load that is not zero from which it is a tare point, and not a load that was applied twice."""
 LARGE_STEP_RATIO = 1.5
 """A return to the tare that is so many times the next step is no step of a ramp, whose steps are about equal."""
 MIN_SEPARATION = 0.1
@@ -133,7 +133,8 @@ def _returns_to_load(x: Array, base: Array, ratio: float) -> list[int]:
     repeated = [row for row in range(2, len(x) - 1) if at_base[row - 1] and at_base[row] and not at_base[row + 1]]
     jumps = sorted({*(row for row in returns if step[row - 1] > ratio * step[row]), *repeated})
     shortest = min(np.diff([0, *jumps, len(x)]), default=0)
-    is_tare = len(returns) + len(repeated) >= MIN_RETURNS and shortest >= MIN_SERIES_ROWS
+    enough = 1 if not np.any(base) else MIN_RETURNS
+    is_tare = len(returns) + len(repeated) >= enough and shortest >= MIN_SERIES_ROWS
     return jumps if is_tare else []
 
 

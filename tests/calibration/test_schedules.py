@@ -252,3 +252,18 @@ def test_directions_whose_tare_stands_in_their_midst_are_two_series():
     np.testing.assert_array_equal(whole.load_series, series)
     assert whole.series_notes == ("s: each change of sign opens a load series; the readings decide it",)
     assert whole.outliers == ()
+
+
+def test_one_load_from_side_to_side_may_have_a_zero_on_each():
+    """A cell hung up for tension and turned for compression, with one tare point in the midst of one ramp."""
+    x = np.r_[np.arange(-8, 1), np.arange(1, 9)][:, None] / 8.0
+    rng = np.random.default_rng(2)
+    channels = x + 0.02 * (x > 0) + 1e-4 * rng.normal(size=x.shape)
+    m = len(x)
+    points = CalibrationPoints(("g",), ("Fz",), ("s",), channels, x, np.zeros(m, int), np.ones(m), np.ones(1))
+    whole = calibrate_all_trims(points)
+    np.testing.assert_array_equal(whole.load_series, (x[:, 0] > 0).astype(int))
+    assert whole.model.terms == ("Fz",) and whole.random_terms is None
+    assert np.sqrt(whole.model.residual_covariance[0, 0]) < 2e-4
+    same_zero = replace(points, channels=channels - 0.02 * (x > 0))
+    assert len(np.unique(calibrate_all_trims(same_zero).load_series)) == 1
