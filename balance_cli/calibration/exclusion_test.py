@@ -27,6 +27,12 @@ SERIES_SIGNIFICANCE_LEVEL = 0.05
 """Probability that the worst row of a load series stands out so far among its others, whose scatter few rows tell."""
 SERIES_PARAMETERS = 2
 """Coefficients that a load series with one load alone tells: its zero and the response to that load."""
+UNUSUAL_SCATTER_P_VALUE = 0.05
+"""P-value below which a load series scatters more than the others: then it is judged by itself, with its few rows."""
+MIN_OTHER_SERIES = 4
+"""Other load series from which the scatter of their variances is known to a factor of two or so."""
+SCATTER_DOF = np.geomspace(0.1, 1e3, 300)
+"""Degrees of freedom that the usual variance of a load series may be worth, in steps of 3 %."""
 FINEST_RESOLUTION = 1e-7
 """Of the range of a channel: finer steps are beyond any converter."""
 
@@ -52,13 +58,57 @@ def rows_of_chance(
         dof = np.count_nonzero(others) - SERIES_PARAMETERS
         if dof < 1:
             continue
-        own = np.maximum(_square_sums(included, fit, others) / dof, gain.variance)
         rows = members & excluded
         channel = int(np.argmin(gain.p_values(rows, gain.variance, gain.dof)))
-        by_series = gain.p_values(rows, own, np.full(len(own), float(dof)))[channel]
+        own = _own_scatter(included, fit, others, gain)
+        by_series = gain.p_values(rows, np.maximum(own[0], gain.variance), own[1])[channel]
         if by_series * np.count_nonzero(members) > SERIES_SIGNIFICANCE_LEVEL:
             chance |= rows
     return chance
+
+
+def _own_scatter(points: CalibrationPoints, fit: CalibrationModelFit, others: Mask, gain: _Gain) -> tuple[Array, Array]:
+    """Variance (c,) of a load series of rows `others` (m,), and its degrees of freedom (c,).
+
+    Few rows tell it hardly: unless it exceeds that of the other load series by more than chance, it is moved toward it.
+    """
+    series = points.load_series == points.load_series[np.argmax(others)]
+    usual, worth = _scatter_of_others(points, fit, ~series)
+    dof = float(np.count_nonzero(others) - SERIES_PARAMETERS)
+    own, own_dof = _square_sums(points, fit, others) / dof, np.full(len(gain.dof), dof)
+    if worth == 0.0:
+        return own, own_dof
+    if np.isinf(worth):
+        moderated, moderated_dof = usual, gain.dof
+    else:
+        moderated, moderated_dof = (worth * usual + dof * own) / (worth + dof), np.minimum(worth + dof, gain.dof)
+    larger = stats.f.sf(own / usual, dof, np.minimum(max(worth, dof), gain.dof)) < UNUSUAL_SCATTER_P_VALUE
+    return np.where(larger, own, moderated), np.where(larger, own_dof, moderated_dof)
+
+
+def _scatter_of_others(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> tuple[Array, float]:
+    """Usual variance (c,) of the load series in some rows (m,), and the degrees of freedom that it is worth.
+
+    Empirical Bayes (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004, 3): the logarithms of the variances scatter by
+    trigamma(n/2) by chance, and by trigamma(d/2) beyond it. Infinite where chance explains them; 0 for too few series.
+    """
+    from scipy.special import polygamma, psi
+
+    logs, half_dof = [], []
+    for series in np.unique(points.load_series[rows]).tolist():
+        members = rows & (points.load_series == series) & (points.weight > 0)
+        dof = float(np.count_nonzero(members) - SERIES_PARAMETERS)
+        squares = _square_sums(points, fit, members)
+        if dof >= 1.0 and np.all(squares > 0.0):
+            logs.append(np.log(squares / dof) - psi(0.5 * dof) + np.log(0.5 * dof))
+            half_dof.append(0.5 * dof)
+    if len(logs) < MIN_OTHER_SERIES:
+        return np.ones(points.channels.shape[1]), 0.0
+    excess = float(np.mean(np.var(logs, axis=0, ddof=1)) - np.mean(polygamma(1, half_dof)))
+    if excess <= 0.0:
+        return np.exp(np.mean(logs, axis=0)), float("inf")
+    worth = float(SCATTER_DOF[np.argmin(np.abs(np.log(polygamma(1, 0.5 * SCATTER_DOF) / excess)))])
+    return np.exp(np.mean(logs, axis=0) + psi(0.5 * worth) - np.log(0.5 * worth)), worth
 
 
 class _Gain:

