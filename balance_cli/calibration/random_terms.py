@@ -34,6 +34,7 @@ from balance_cli.calibration.terms import (
     term_values,
 )
 from balance_cli.calibration.variance_components import VarianceComponents, estimate_variance_components
+from balance_cli.calibration.weight_covariance import correlation_shrinkage
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -90,12 +91,13 @@ def fit_random_terms(points: CalibrationPoints, fit: CalibrationModelFit) -> Cal
     scatter = float(components.size[-1]) if columns.slopes else 0.0
     if scatter:
         columns, components = _prefer_terms(columns, components, A, y, rows_less_zeros)
-    evidence = components.log_likelihood - FAMILY_COST * np.count_nonzero(components.size)
-    candidates = k * (2 * k + 3)  # nonlinear terms of the ten families
     if not components.size.any():
         return None
+    share = _independent_share(A[:, :k], y, rows_less_zeros)
+    evidence = share * components.log_likelihood - FAMILY_COST * np.count_nonzero(components.size)
+    candidates = k * (2 * k + 3)  # nonlinear terms of the ten families
     required = DECISIVE_EVIDENCE if fit.model.is_nonlinear else 0.0
-    if evidence + required <= _evidence_of_selected(fit, weight, used, rows_less_zeros, candidates):
+    if evidence + required <= _evidence_of_selected(fit, weight, used, rows_less_zeros, candidates, share):
         return None
     return _fit_channels(points, columns, components, scatter)
 
@@ -112,6 +114,24 @@ def _prefer_terms(
     if without.log_likelihood < components.log_likelihood - SAME_LIKELIHOOD:
         return columns, components
     return _Columns(columns.values[:, :terms], columns.terms, family, 0), without
+
+
+def _independent_share(columns: Array, y: Array, rows_less_zeros: int) -> float:
+    """Number of channels that tell as much as all of y (m, c) do, over their number.
+
+    The error of a load is common to all channels, and so is the curvature that it feigns: each would count it anew.
+    With the correlations R of what the columns leave, shrunk by what chance makes of them, it is (tr R)^2 / tr R^2
+    (Kish, Survey Sampling, 1965, for the variance of a mean).
+    """
+    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    dof = rows_less_zeros - np.linalg.matrix_rank(columns)
+    if dof < 1:
+        return 1.0
+    covariance = left.T @ left / dof
+    weight = 1.0 - correlation_shrinkage(covariance, float(dof))
+    sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    others = (covariance / sigma[:, None] / sigma)[~np.eye(len(sigma), dtype=bool)]
+    return float(1.0 / (1.0 + np.sum((weight * others) ** 2) / len(sigma)))
 
 
 def _determined_columns(x: Array, block: Index) -> _Columns:
@@ -149,7 +169,12 @@ def _series_slopes(x: Array, block: Index) -> Array:
 
 
 def _evidence_of_selected(
-    fit: CalibrationModelFit, weight: Array, used: NDArray[np.bool_], rows_less_zeros: int, candidates: int
+    fit: CalibrationModelFit,
+    weight: Array,
+    used: NDArray[np.bool_],
+    rows_less_zeros: int,
+    candidates: int,
+    share: float,
 ) -> float:
     """Log likelihood of the selected terms less what they cost: ln n / 2, and ln p for the choice among p candidates.
 
@@ -160,7 +185,7 @@ def _evidence_of_selected(
     n = rows_less_zeros - k
     squares = np.maximum(weight @ fit.residuals[used] ** 2, np.finfo(float).tiny)
     selected = np.count_nonzero(np.isfinite(fit.model.t[k:]))
-    return float(-0.5 * np.sum(n * np.log(squares / n) + n) - selected * (0.5 * np.log(n) + np.log(candidates)))
+    return float(-0.5 * share * np.sum(n * np.log(squares / n) + n) - selected * (0.5 * np.log(n) + np.log(candidates)))
 
 
 def _fit_channels(

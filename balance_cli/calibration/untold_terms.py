@@ -13,6 +13,7 @@ cause beyond the rows comes beside the residuals. Where rows with three loads wo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.term_support import MIN_INDEPENDENT_SHARE
-from balance_cli.calibration.terms import Term, all_terms, term_values
+from balance_cli.calibration.terms import ABSOLUTE, CONSTANT, Term, all_terms, term_values
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -88,7 +89,30 @@ def find_aliased_terms(model: CalibrationModel, x: Array, block: Index) -> Alias
             weight[len(terms) :] = projection[:, p] - ratio * projection[:, a]
             weights.append(weight)
             variance.append(own[term] ** 2 / (1.0 + len(others)))
+    for p in np.flatnonzero(_is_one_sided(terms, known, size)).tolist():
+        weight = np.zeros(len(terms) + k)
+        weight[p] = 1.0
+        weight[len(terms) :] = -projection[:, p]
+        weights.append(weight)
+        variance.append(_side_variance(model))
     return AliasedTerms(terms, np.array(weights).T, np.array(variance)) if weights else None
+
+
+def _is_one_sided(terms: Sequence[Term], known: NDArray[np.bool_], size: Array) -> NDArray[np.bool_]:
+    """Terms |F| of loads that were applied to one side only, in which |F| is F itself."""
+    is_side = np.array([term.function == ABSOLUTE and term.other_function == CONSTANT for term in terms])
+    return np.asarray(is_side & ~known & np.isfinite(size))
+
+
+def _side_variance(model: CalibrationModel) -> Array:
+    """Variance (c,) [V2] of a term |F|: that of the other loads', with the errors of their coefficients."""
+    terms = model.parsed_terms
+    at = [p for p, term in enumerate(terms) if term.function == ABSOLUTE and term.other_function == CONSTANT]
+    unit = _largest_response(model)
+    if not at:
+        return np.zeros(len(unit))
+    squares = model.coefficients[at].T ** 2 + np.diagonal(model.covariance, axis1=1, axis2=2)[:, at]
+    return np.asarray(unit**2 * np.mean(squares / unit[:, None] ** 2))
 
 
 def find_cubic_products(model: CalibrationModel, x: Array, readings: Array, block: Index) -> CubicProducts | None:

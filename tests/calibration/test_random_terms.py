@@ -8,7 +8,7 @@ import pytest
 from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.penalized_regression import solve_penalized
-from balance_cli.calibration.random_terms import fit_random_terms
+from balance_cli.calibration.random_terms import _independent_share, fit_random_terms
 from balance_cli.calibration.variance_components import estimate_variance_components
 
 COMPONENTS = ("Fx", "Fy", "Fz")
@@ -200,3 +200,12 @@ def test_a_difference_between_the_directions_is_a_term_where_one_series_tells_ea
     again = fit_random_terms(points, fit_calibration_model(points))
     known = np.sqrt(np.diagonal(again.model.load_covariance(check), axis1=1, axis2=2))
     assert np.all(known < 0.5 * sigma)
+
+
+def test_the_error_of_a_load_is_no_evidence_of_each_channel_anew():
+    rng = np.random.default_rng(4)
+    x, own = rng.normal(size=(400, 3)), rng.normal(size=(400, 4))
+    assert _independent_share(x, own, 400) == pytest.approx(1.0, abs=0.02)
+    common = np.outer(rng.normal(size=400), [1.0, -2.0, 0.5, 3.0])
+    assert _independent_share(x, common, 400) == pytest.approx(0.25, abs=2e-3)
+    assert 0.3 < _independent_share(x, common + own, 400) < 0.7

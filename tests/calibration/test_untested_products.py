@@ -192,3 +192,36 @@ def test_terms_that_do_the_same_in_the_schedule_are_as_likely_beyond_it():
     assert np.all(there < 1e-12)
     # The fitted term is one of four: two of these differ from it by twice the product in that quadrant.
     assert np.sqrt(elsewhere[0, 2]) == pytest.approx(2 * 0.02 * 0.8 * 0.5 / np.sqrt(2), rel=0.15)
+
+
+def test_a_side_on_which_a_load_was_not_applied_may_differ_as_the_sides_of_the_others_do():
+    """Two loads show |F| in every channel; of the third, which was applied to one side, its own is not known."""
+    steps = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0])
+    series = [np.outer(side * steps, np.eye(3)[j]) for j in range(3) for side in (1.0, -1.0)][:-1]
+    x, block = np.vstack(series), np.repeat(np.arange(5), len(steps))
+    errors, sigma = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        linear, sides = np.eye(3, 4) + 0.2 * rng.normal(size=(3, 4)), 5e-3 * rng.normal(size=(3, 4))
+        channels = x @ linear + np.abs(x) @ sides + 2e-3 * rng.normal(size=(5, 4))[block]
+        names, m = tuple(f"g{c}" for c in range(4)), len(x)
+        whole = calibrate_all_trims(
+            CalibrationPoints(
+                names,
+                ("Fx", "Fy", "Fz"),
+                ("s",),
+                channels + 1e-4 * rng.normal(size=channels.shape),
+                x,
+                np.zeros(m, int),
+                np.ones(m),
+                np.ones(3),
+            )
+        )
+        model, below = whole.loads_model, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+        loads = model.loads(below @ linear + np.abs(below) @ sides)[0]
+        variance = model.load_covariance(loads) + whole.untested_products.load_covariance(model, loads)
+        errors.append(loads - below)
+        sigma.append(np.sqrt(np.diagonal(variance, axis1=1, axis2=2)))
+        assert np.all(whole.untested_products.aliased.reading_variance(below)[1] < 1e-12)
+    ratio = np.array(errors)[:, 0] / np.array(sigma)[:, 0]
+    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6
