@@ -77,7 +77,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "rev": ("revs", "revolution", "revolutions"),
     "rpm": ("1/min", "min-1", "U/min", "rev/min"),
     "Hz": ("1/s", "s-1", "rev/s"),
-    "s": ("sec", "seconds"),
+    "s": ("sec", "second", "seconds", "sek", "sekunden"),
     "h": ("hr",),
     "1": ("-", "count", "counts", "cts", "bit", "bits", "none"),
     "%": ("percent",),

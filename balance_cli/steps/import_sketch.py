@@ -97,10 +97,15 @@ def _time_channel(file: ForeignFile) -> ForeignChannel | None:
 
 
 def _names_time(channel: ForeignChannel, column: int) -> bool:
-    """Whether a channel has the name of a time, or begins so and has a unit of time or is the first column."""
+    """Whether a channel has the name of a time, or two of: a name that begins so, a unit of time, the first column.
+
+    Oscilloscopes call their times `X`, in `Second`.
+    """
     if _last_name(channel) in TIME_NAMES:
         return True
     has_unit = bool(_unit_of(channel.unit, TIME))
+    if column == 0 and has_unit:
+        return True
     return bool(TIME_NAME.match(channel.name)) and (has_unit or (not channel.unit and column == 0))
 
 

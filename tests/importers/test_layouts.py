@@ -84,6 +84,7 @@ RIGHT = {
     "LabVIEW, none": (LVM.format("No", 0.001, 0.001) + lines(lambda k: f"\t{X[k, 0]}\t{X[k, 1]}\t"), X, "1000"),
     "LabVIEW, with units": (labview("One"), X, "A: {name: A, unit: g,"),
     "LabVIEW, times and values in turn": (labview("Multi"), X, "B: {name: B, unit: g,"),
+    "an oscilloscope": ("X,A,B,\nSecond,Volt,Volt,\n" + plain(",", end=","), X, "time: X"),
     "accelerations in g": ("time [s],A [g],B [g]\n" + plain(","), X, "A: {name: A, unit: g,"),
     "catman with a row behind the units": (CATMAN + "Datum 12.03.2024\t\t\n" + plain("\t", ","), X, "time: "),
     "catman with keys": (
