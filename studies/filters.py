@@ -18,10 +18,10 @@ from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.reduction.harmonic_loads import rotor_record
 from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.simulation import RunTruth, simulate_run

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
 
 ComplexArray = NDArray[np.complex128]

@@ -2,201 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.channel_health import ChannelHealth
-from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns, negligible_columns
 from balance_cli.io.errors import UserError
-from balance_cli.model.plate import carried_components
-from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
 from balance_cli.reduction.measured_response import highest_frequency, lowest_frequency
-from balance_cli.reduction.response_sources import (
-    ResponseSource,
-    circular_real,
-    load_scale,
-    stacked_real,
-    usable_channels,
-)
-from balance_cli.reduction.speed_modulation import SPEED_MEMORY, without_speed_modulation
+from balance_cli.reduction.response_sources import ResponseSource, circular_real, load_scale, stacked_real
+from balance_cli.reduction.rotor_record import RotorRecord
+from balance_cli.reduction.speed_modulation import SPEED_MEMORY
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias_response
-from balance_cli.signals.record_spectrum import RecordSpectrum, record_spectrum
-from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
-from balance_cli.signals.rotor.harmonic_residual import without_harmonics
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
-from balance_cli.signals.rotor.harmonics import (
-    BELOW_NYQUIST,
-    FEWEST_REVOLUTIONS,
-    FITTED_HARMONICS,
-    Harmonics,
-    estimate_harmonics,
-)
-from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines, tones_beside
-from balance_cli.signals.rotor.other_rotors import ConfoundedLine, other_azimuths, rotor_azimuth, without_other_rotors
-from balance_cli.signals.rotor.pulse_consistency import pulse_faults
-from balance_cli.signals.run_samples import sample_rate
-from balance_cli.signals.transient_end import find_transient_end
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-TRANSIENT_TIME_CONSTANTS = 7.0
-"""Time constants of the slowest mode within which the transient end is sought: exp(-7) is a thousandth."""
-MIN_TRANSIENT_TIME = 10.0
-"""Time [s] that is searched at least: a response may lack the slowest mode, and the high-pass of a piezo channel decays
-within seconds."""
-MOST_MODULATION_PASSES = 3
-"""Passes in which what changes with the speed is taken out, with the harmonics of the pass before; those of the first
-contain what the modes leak. Where the harmonics change by less than the response, nothing would change in the next."""
-
-
-@dataclass(frozen=True)
-class RotorRecord:
-    """A record over azimuth: its usable channels, and their harmonics and those of the loads after the transient.
-
-    `components` are those that the balance carries. At a `fixed_frequency` the azimuth is that of a tone, which turns
-    with no rotor. `rotor` is the number of the rotor whose azimuth it is. The lines of the others have been taken out
-    of `run`, but for those that are `confounded` with its harmonics. `recorded`: the run with the contribution of
-    nonlinear forces, which `run` does not have.
-    """
-
-    run: Run
-    health: ChannelHealth
-    azimuth: Azimuth
-    spectra: Harmonics
-    components: tuple[str, ...]
-    fixed_frequency: bool = False
-    rotor: int = 1
-    other_rotors: tuple[Azimuth, ...] = ()
-    confounded: tuple[ConfoundedLine, ...] = ()
-    recorded: Run | None = None
-
-    @cached_property
-    def spectrum_over_time(self) -> RecordSpectrum:
-        """The spectrum of the usable channels in the interval of the harmonics, or in the middle of it."""
-        return record_spectrum(self.run, self.health.live, self.spectra.interval)
-
-    @cached_property
-    def residual_spectrum(self) -> RecordSpectrum:
-        """The same without the harmonics, which are lines over azimuth and bands over time."""
-        rest = without_harmonics(self.run, self.azimuth, self.spectra, self.health.live)
-        return record_spectrum(rest, self.health.live, self.spectra.interval)
-
-    @property
-    def spin(self) -> float:
-        """Speed [Hz] of the first rotor over the interval; 0 at rest."""
-        if self.fixed_frequency or self.rotor != 1:
-            return self.run.rotor_speed
-        return self.run.rotor_speed and float(self.spectra.frequency_hz[1])
-
-
-def rotor_record(
-    run: Run,
-    geometry: Geometry,
-    source: ResponseSource,
-    max_harmonic: int = 8,
-    rotor: int = 1,
-    remove_other_rotors: bool = True,
-) -> RotorRecord:
-    """Return harmonics 0 to `max_harmonic` of one `check` or `wind` run, from the end of its start transient on.
-
-    The harmonics are those of `rotor`; the lines of further rotors are taken out first (unless they are to be found as
-    lines that no harmonic describes). Raises UserError where no channel is usable or the 1/rev pulses are not.
-    """
-    health = usable_channels(run, geometry, source)
-    for contradiction in pulse_faults(run):
-        raise contradiction
-    azimuth = rotor_azimuth(run, rotor)
-    if azimuth.turns < FEWEST_REVOLUTIONS:
-        fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, _place(run), "rotor/pulse_times", "Record more revolutions")
-    confounded: tuple[ConfoundedLine, ...] = ()
-    if remove_other_rotors:
-        alone, _ = without_other_rotors(run, azimuth, rotor, max_harmonic, 0)
-        start = _steady_revolution(alone, azimuth, source, health) if alone is not run else 0
-        run, confounded = without_other_rotors(run, azimuth, rotor, max_harmonic, start)
-    record = _record(run, azimuth, max_harmonic, geometry, source, health)
-    others = other_azimuths(run, rotor) if remove_other_rotors else ()
-    return replace(record, rotor=rotor, other_rotors=others, confounded=confounded)
-
-
-def _record(
-    run: Run,
-    azimuth: Azimuth,
-    max_harmonic: int,
-    geometry: Geometry,
-    source: ResponseSource,
-    health: ChannelHealth,
-    other: OtherLines = NO_OTHER_LINES,
-) -> RotorRecord:
-    """Return the harmonics of a run over an azimuth, from the end of its start transient on."""
-    recorded, run = run, source.remove_nonlinear_contribution(run, health.live)
-    start = _steady_revolution(run, azimuth, source, health)
-    signals = health.live + (COMPONENTS if run.has_loads else ())
-    lines = with_free_decays(other, run, azimuth, start, source)
-
-    def harmonics(of: Run, beside: OtherLines) -> Harmonics:
-        return estimate_harmonics(of, azimuth, max_harmonic, names=signals, first_revolution=start, other=beside)
-
-    if not lines.exponents or response_is_constant(run, azimuth, start, max_harmonic, source):
-        return RotorRecord(run, health, azimuth, harmonics(run, lines), carried_components(geometry), recorded=recorded)
-    spectra = harmonics(run, other)
-    for _ in range(MOST_MODULATION_PASSES):
-        even = without_speed_modulation(run, azimuth, spectra, geometry, source, health.live)
-        if even is None:
-            break
-        before, spectra = spectra.amplitude[1:], harmonics(even, lines)
-        if np.linalg.norm(spectra.amplitude[1:] - before) < LARGEST_RESPONSE_CHANGE * np.linalg.norm(before):
-            break
-    return RotorRecord(run, health, azimuth, spectra, carried_components(geometry), recorded=recorded)
-
-
-def _steady_revolution(run: Run, azimuth: Azimuth, source: ResponseSource, health: ChannelHealth) -> int:
-    """Return the revolution at which the start transient has ended."""
-    limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
-    return find_transient_end(run, azimuth, limit, health.live)
-
-
-def tone_record(
-    run: Run, frequency: float, others: Sequence[float], geometry: Geometry, source: ResponseSource
-) -> RotorRecord:
-    """Return the mean and the tone at `frequency` [Hz] of one run; `others` are tones that are regressed with it.
-
-    The phase counts from the first sample. Raises UserError where the record holds too few cycles or no channel.
-    """
-    health = usable_channels(run, geometry, source)
-    duration = (run.samples - 1) / sample_rate(run)
-    cycles = int(duration * frequency)
-    if cycles < FEWEST_REVOLUTIONS:
-        fault = f"holds {cycles} cycles of {frequency:g} Hz; at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, _place(run), "--frequencies", "Record for longer, or give a higher frequency")
-    if frequency >= BELOW_NYQUIST * sample_rate(run) / 2.0:
-        fault = f"{frequency:g} Hz is beyond half the sample rate, {sample_rate(run):g} Hz"
-        raise UserError(fault, _place(run), "--frequencies", "Give lower frequencies")
-    azimuth = azimuth_from_pulses(np.arange(cycles + 1) / frequency)
-    tones = tones_beside(frequency, others, duration, FITTED_HARMONICS)
-    return replace(_record(run, azimuth, 1, geometry, source, health, tones), fixed_frequency=True)
-
-
-def at_constant_speed(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> RotorRecord | None:
-    """Return the record without what its harmonics change with the rotor speed; None where that is not known."""
-    first, n = record.spectra.revolutions[0], len(record.spectra.frequency_hz) - 1
-    if record.fixed_frequency or response_is_constant(record.run, record.azimuth, first, n, source):
-        return record
-    even = without_speed_modulation(record.run, record.azimuth, record.spectra, geometry, source, record.health.live)
-    return None if even is None else replace(record, run=even)
-
-
-def _place(run: Run) -> str:
-    return str(run.path or run.name)
 
 
 def harmonic_loads(
@@ -292,7 +114,7 @@ def _check_determined(T: ComplexArray, record: RotorRecord, scale: Array) -> Non
     unidentifiable = ", ".join(without_response) or ", ".join(record.components)
     raise UserError(
         f"the remaining channels do not determine {unidentifiable} (left out: {left_out})",
-        _place(record.run),
+        str(record.run.path or record.run.name),
         "channels",
         "Repair the channels, or leave the run out with --skip-bad",
     )

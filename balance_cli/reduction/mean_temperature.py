@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from balance_cli.calibration.temperature import TemperatureTerms
 from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_TEMPERATURE, join_flags
-from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]

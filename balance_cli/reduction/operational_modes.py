@@ -21,7 +21,7 @@ from balance_cli.campaign.recording.run import read_channels
 from balance_cli.campaign.rig.geometry import Acquisition
 from balance_cli.model.system import System
 from balance_cli.model.transient_modes import transient_modes
-from balance_cli.reduction.harmonic_loads import RotorRecord
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.cross_spectra import MAIN_LOBE, blackman_harris
 from balance_cli.signals.rotor.azimuth import Azimuth

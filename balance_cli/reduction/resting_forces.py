@@ -29,10 +29,10 @@ from balance_cli.model.mechanics.dual_numbers import constant
 from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.system import System
 from balance_cli.model.system_response import response, solve, volts_of_forces
-from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.mean_loads import MeanLoads
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.signals.waveforms import record_waveform
 

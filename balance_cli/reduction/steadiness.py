@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import TrimCalibration
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.reduction.harmonic_loads import RotorRecord
 from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.common_change import CommonChange, common_change
 from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, sigma_if_steady, unsteady, windowed_amplitudes

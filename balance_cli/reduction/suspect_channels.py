@@ -12,8 +12,9 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import SAME_PATTERN
-from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response
+from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
 from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.anti_alias import anti_alias_response
 

@@ -21,10 +21,10 @@ from balance_cli.reduction.flags import (
     UNTESTED,
     join_flags,
 )
-from balance_cli.reduction.harmonic_loads import RotorRecord, at_constant_speed
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.record_spectrum import RecordSpectrum

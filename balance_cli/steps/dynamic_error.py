@@ -8,8 +8,9 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads
+from balance_cli.reduction.harmonic_loads import harmonic_loads
 from balance_cli.reduction.response_sources import ResponseSource, StaticSource
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 
 

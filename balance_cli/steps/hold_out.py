@@ -20,10 +20,11 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.exciter_loads import true_load_matrices
 from balance_cli.model.system_response import solve
 from balance_cli.reduction.check_errors import check_errors
-from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response, rotor_record
+from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors
+from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
 
 ComplexArray = NDArray[np.complex128]
 

@@ -14,8 +14,9 @@ from balance_cli.diagnosis.result import HoldOut
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.response_error import ResponseError
-from balance_cli.reduction.harmonic_loads import harmonic_response, rotor_record
+from balance_cli.reduction.harmonic_loads import harmonic_response
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.steps.hold_out import record_load_matrices
 
 

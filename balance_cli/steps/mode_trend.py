@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.harmonic_loads import rotor_record
 from balance_cli.reduction.operational_modes import OperationalModes, operational_modes
 from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.steps.rank_trend import rank_trend
 from balance_cli.steps.trend import SIGNIFICANCE
 from balance_cli.steps.trend_points import TrendPoint

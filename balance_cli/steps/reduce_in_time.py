@@ -21,7 +21,6 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.model.system import System
 from balance_cli.reduction.choices import FREE, HARMONICS, KALMAN, LOAD_MODELS, SMOOTHER
-from balance_cli.reduction.harmonic_loads import RotorRecord, rotor_record
 from balance_cli.reduction.kalman.amplitude_drift import fit_drifting_harmonics
 from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
 from balance_cli.reduction.kalman.data_quality import DataQuality, assess_data_quality
@@ -40,6 +39,7 @@ from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.response_sources import ResponseSource, no_state_space_error
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
 from balance_cli.reduction.trust import flag_filter
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth

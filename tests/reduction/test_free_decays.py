@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.reduction import free_decays, harmonic_loads
+from balance_cli.reduction import free_decays, harmonic_loads, rotor_record
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.other_lines import OtherLines
@@ -48,7 +48,7 @@ def record(request, source):
 
 def _errors(run, truth, source):
     """Errors (2, m) of the cosines and sines at 3/rev over the standard deviation by noise alone."""
-    rotor = harmonic_loads.rotor_record(run, LIGHT, source, 3)
+    rotor = rotor_record.rotor_record(run, LIGHT, source, 3)
     solved = harmonic_loads.harmonic_loads(rotor, LIGHT, source)
     cosine, sine = truth.harmonics(*rotor.spectra.interval)
     error = solved.loads[0] - (cosine - 1j * sine)[1]

@@ -9,9 +9,10 @@ from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import FLAGS, join_flags
-from balance_cli.reduction.harmonic_loads import harmonic_loads, rotor_record
+from balance_cli.reduction.harmonic_loads import harmonic_loads
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
 from balance_cli.report.in_time import innovation_tests_row
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth

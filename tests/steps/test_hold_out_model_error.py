@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.reduction.harmonic_loads import harmonic_loads, rotor_record
+from balance_cli.reduction.harmonic_loads import harmonic_loads
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
 from balance_cli.simulation.extensions.library import extension
 from balance_cli.steps.hold_out import hold_out_errors
