@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,6 +30,8 @@ from balance_cli.signals.rotor.harmonics import (
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines, tones_beside
 from balance_cli.signals.rotor.other_rotors import ConfoundedLine, other_azimuths, rotor_azimuth, without_other_rotors
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
+from balance_cli.signals.rotor.pulse_error import OrderedRecord, judge_pattern
+from balance_cli.signals.rotor.pulse_pattern import PulsePattern, pulse_pattern, without_pattern
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.signals.transient_end import find_transient_end
 
@@ -43,6 +45,12 @@ MOST_MODULATION_PASSES = 3
 contain what the modes leak. Where the harmonics change by less than the response, nothing would change in the next."""
 
 
+MOST_PATTERNS = 4
+"""Periodic departures of the pulses that are judged: a pattern of seven revolutions has three harmonics."""
+TAKEN_OUT = "the channels are not, taken out"
+DOUBT = "neither an error of the pulses nor the rotor speed alone explains what the channels have at this period"
+
+
 @dataclass(frozen=True)
 class RotorRecord:
     """A record over azimuth: its usable channels, and their harmonics and those of the loads after the transient.
@@ -50,7 +58,7 @@ class RotorRecord:
     `components` are those that the balance carries. At a `fixed_frequency` the azimuth is that of a tone, which turns
     with no rotor. `rotor` is the number of the rotor whose azimuth it is. The lines of the others have been taken out
     of `run`, but for those that are `confounded` with its harmonics. `recorded`: the run with the contribution of
-    nonlinear forces, which `run` does not have.
+    nonlinear forces, which `run` does not have. `pulse_doubt` says what is not understood of the pulses.
     """
 
     run: Run
@@ -63,6 +71,7 @@ class RotorRecord:
     other_rotors: tuple[Azimuth, ...] = ()
     confounded: tuple[ConfoundedLine, ...] = ()
     recorded: Run | None = None
+    pulse_doubt: str = ""
 
     @cached_property
     def spectrum_over_time(self) -> RecordSpectrum:
@@ -108,9 +117,55 @@ def rotor_record(
         alone, _ = without_other_rotors(run, azimuth, rotor, max_harmonic, 0)
         start = _steady_revolution(alone, azimuth, source, health) if alone is not run else 0
         run, confounded = without_other_rotors(run, azimuth, rotor, max_harmonic, start)
-    record = _record(run, azimuth, max_harmonic, geometry, source, health)
+    record = _judge_pulses(
+        _record(run, azimuth, max_harmonic, geometry, source, health),
+        lambda corrected: _record(run, corrected, max_harmonic, geometry, source, health),
+        geometry,
+        source,
+    )
     others = other_azimuths(run, rotor) if remove_other_rotors else ()
     return replace(record, rotor=rotor, other_rotors=others, confounded=confounded)
+
+
+def _judge_pulses(
+    record: RotorRecord, remake: Callable[[Azimuth], RotorRecord], geometry: Geometry, source: ResponseSource
+) -> RotorRecord:
+    """Return the record by pulses without the periodic errors that its channels show; `remake` makes one by an azimuth.
+
+    Where neither an error nor the speed explains what the channels have at the period, `pulse_doubt` says so.
+    """
+    known: list[PulsePattern] = []
+    while len(known) < MOST_PATTERNS:
+        azimuth = record.azimuth
+        pattern = pulse_pattern(azimuth.pulse_times, azimuth.revolutions, known)
+        if pattern is None:
+            break
+        known.append(pattern)
+        without = remake(_corrected(azimuth, pattern))
+        given, removed = _ordered(record, geometry, source), _ordered(without, geometry, source)
+        verdict = judge_pattern(given, removed, pattern.frequency, record.health.live)
+        if verdict is None or verdict.share == 0.0:
+            continue
+        if verdict.share == 1.0:
+            record = replace(without, pulse_doubt=record.pulse_doubt)
+        else:
+            wrong = replace(pattern, amplitude=pattern.amplitude * verdict.share)
+            record = replace(remake(_corrected(azimuth, wrong)), pulse_doubt=record.pulse_doubt)
+        if verdict.contradicted or verdict.share != 1.0:
+            record = replace(record, pulse_doubt=f"{pattern.description}: {DOUBT}")
+    return record
+
+
+def _corrected(azimuth: Azimuth, pattern: PulsePattern) -> Azimuth:
+    """Return the azimuth by pulses without a pattern, with a note."""
+    times = without_pattern(azimuth.pulse_times, azimuth.revolutions, pattern)
+    return replace(azimuth, pulse_times=times, notes=(*azimuth.notes, f"{pattern.description}: {TAKEN_OUT}"))
+
+
+def _ordered(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> OrderedRecord:
+    """Return the record without what its harmonics change with the speed, as far as that is known."""
+    even = at_constant_speed(record, geometry, source) or record
+    return OrderedRecord(even.run, even.azimuth, even.spectra)
 
 
 def _record(

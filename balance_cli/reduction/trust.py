@@ -131,8 +131,9 @@ def assess_trust(
     pairs = contradicted_pairs(record, geometry, source, response)
     rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
-    tests = steadiness.unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed
-    return Trust(untested, *tests, steadiness.note)
+    unsteady = steadiness.unsteady | (bool(record.pulse_doubt) & (np.arange(n + 1) > 0)[:, None])
+    tests = unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed
+    return Trust(untested, *tests, "; ".join(filter(None, [record.pulse_doubt, steadiness.note])))
 
 
 def _lines_and_steadiness(

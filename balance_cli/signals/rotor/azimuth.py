@@ -40,7 +40,7 @@ class Azimuth:
     skipped where a pulse is missing. `notes` lists the repairs. `pulse_scatter` is the standard deviation of the
     timing of a single pulse, `local_error` that of the azimuth near one, both [rad]; they differ where the pulses were
     smoothed. `common_error` [rad] is that of all pulses alike: where times are whole steps, the edge may lie at either
-    end of a step.
+    end of a step; where pulses alternate, either half may be the right one.
 
     Between pulses the revolution count is a spline of degree 5 over time through the pulses. Because of the inertia of
     the rotor the count is smooth, and the error of the spline, of order (T_rev / T_drift)^6, is far below that of a
@@ -144,9 +144,26 @@ def azimuth_from_pulses(pulse_times: ArrayLike, smooth: bool = True) -> Azimuth:
     """
     repaired = repair_pulses(np.asarray(pulse_times, float))
     azimuth = Azimuth(repaired.times, repaired.revolutions, repaired.notes)
+    if smooth:
+        azimuth = _without_alternation(azimuth)
     azimuth = _with_scatter(azimuth, smooth)
     _check_forward_rotation(azimuth)
     return azimuth
+
+
+def _without_alternation(azimuth: Azimuth) -> Azimuth:
+    """Return the azimuth by the mean of pulses that are late and early in turn, as the speed of no rotor is."""
+    from balance_cli.signals.rotor.pulse_pattern import pulse_alternation, without_pattern
+
+    pattern = pulse_alternation(azimuth.pulse_times, azimuth.revolutions)
+    if pattern is None:
+        return azimuth
+    note = (
+        f"{pattern.description} (two marks, or a trigger that alternates): averaged, either half may be the right one"
+    )
+    times = without_pattern(azimuth.pulse_times, azimuth.revolutions, pattern)
+    error = 2.0 * math.pi * abs(pattern.amplitude)
+    return replace(azimuth, pulse_times=times, notes=(*azimuth.notes, note), common_error=error)
 
 
 def _with_scatter(azimuth: Azimuth, smooth: bool) -> Azimuth:
@@ -156,8 +173,9 @@ def _with_scatter(azimuth: Azimuth, smooth: bool) -> Azimuth:
 
     times, per_second = azimuth.pulse_times, 2.0 * np.pi * azimuth.mean_rate
     step = timing_step(times)
-    common = per_second * step / math.sqrt(12.0)  # an error of at most half a step, all alike
-    scatter = max(per_second * pulse_scatter(times, azimuth.revolutions), common)
+    within_step = per_second * step / math.sqrt(12.0)  # an error of at most half a step, all alike
+    common = math.hypot(within_step, azimuth.common_error)
+    scatter = max(per_second * pulse_scatter(times, azimuth.revolutions), within_step)
     scattered = replace(azimuth, pulse_scatter=scatter, local_error=scatter, common_error=common)
     note = _scatter_note(math.degrees(scatter), step, math.degrees(per_second * step))
     if not note:

@@ -159,7 +159,7 @@ def estimate_harmonics(
         moment = trigonometric_basis(psi, fitted_count, other.basis(time)) @ (errors * weight).T
         return complex_amplitudes(regression.solve(moment), n, fitted_count).T
 
-    span = _sample_span(run, start, end)
+    span = sample_span(run, start, end)
     covariance = covariance + bridging_covariance(run, names, span, error_amplitudes)
     frequency = np.arange(n + 1) * (last - first_revolution) / (end - start)
     return Harmonics(run.name, names, frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples)
@@ -192,10 +192,10 @@ def _weighted_blocks(
     assert run.sample_rate is not None
     first, last = revolutions
     start, end = azimuth.time_of(np.array(revolutions))
-    begin, stop = _sample_span(run, start, end)
+    begin, stop = sample_span(run, start, end)
     for low in range(begin, stop, block):
         high = min(low + block, stop)
-        signals = _read_signals(run, names, low, high)
+        signals = read_signals(run, names, low, high)
         psi, speed = azimuth.of_samples(run.sample_rate, low, high)
         time = np.clip(np.arange(low, high) / run.sample_rate, azimuth.first, azimuth.last)
         revolution = psi / (2 * np.pi)
@@ -205,13 +205,13 @@ def _weighted_blocks(
         yield _AzimuthBlock(psi, speed, fraction, weight, lines.basis(time), columns, signals, last - first)
 
 
-def _sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
+def sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
     """Return the first sample and the end of an interval [s]."""
     assert run.sample_rate is not None
     return int(np.ceil(start * run.sample_rate)), min(int(np.floor(end * run.sample_rate)) + 1, run.samples)
 
 
-def _read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
+def read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
     """Samples (m, c) of the named channels and load components."""
     read = run.read(low, high)
     stacked = read.channels if read.loads is None else np.hstack([read.channels, read.loads])
