@@ -19,9 +19,10 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.periodic import samples_per_period
+from balance_cli.signals.record_mean import delay_free_mean
 from balance_cli.signals.run_samples import load_columns, read_samples, sample_rate
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
-from balance_cli.signals.sampled_waveform import RecordWaveform, SampledWaveform, hann_mean
+from balance_cli.signals.sampled_waveform import RecordWaveform, SampledWaveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -81,7 +82,8 @@ def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], g
     """
     local = nonperiodic_record(run, channel_names)
     channels, loads = read_samples(run, channel_names)
-    mean = hann_mean(np.hstack([channels, loads[:, load_columns(local.spectrum.components)]]))
+    samples = np.hstack([channels, loads[:, load_columns(local.spectrum.components)]])
+    mean, error = delay_free_mean(samples, sample_rate(run), local.spectrum)
     bin_index = np.append(local.bin_index, 0)
     sampled = waveform_from_samples(channels, sample_rate(run), local.spectrum, bin_index, geometry, SMOOTHING_LINES)
     M = local.weight.shape[1]
@@ -91,7 +93,7 @@ def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], g
         weight=np.vstack([local.weight, np.eye(M)[-1]]),
     )
     without_mean = _without_mean(local.spectrum, loads, geometry)
-    return replace(_append_mean(local.spectrum, mean, 1.5, 0.0, without_mean), waveform=waveform)
+    return replace(_append_mean(local.spectrum, mean, 1.5, 0.0, without_mean, error=error), waveform=waveform)
 
 
 def waveform_from_samples(
@@ -226,11 +228,12 @@ def _append_mean(
     start: float,
     without_mean: Sequence[bool],
     window_factor: float = 1.0,
+    error: Array | None = None,
 ) -> RunSpectrum:
     """Append a line at frequency zero for the mean (c+u,) of the record from `start` [s] on.
 
     Its noise is `factor` times that of the lowest line, in the window `window_factor` times, and infinite in the
-    channels `without_mean` (c,).
+    channels `without_mean` (c,). `error` (c,) is a standard deviation of the mean of the channels beside it.
     """
     factor = 2.0 * factor
     c, z = len(without_mean), 2.0 * mean
@@ -238,6 +241,10 @@ def _append_mean(
     if window is not None:
         covariance = _append_mean_covariance(window.covariance, 2.0 * window_factor, without_mean)
         window = replace(window, start=np.append(window.start, start), covariance=covariance)
+    covariance = _append_mean_covariance(lines.covariance, factor, without_mean)
+    if error is not None:
+        # The line is twice the mean, and a real line counts with twice its variance.
+        covariance[-1, range(c), range(c)] += 8.0 * error**2
     count = len(lines.frequency)
     volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
     volts[-1] = units[-1] = 2.0
@@ -246,7 +253,7 @@ def _append_mean(
         frequency=np.append(lines.frequency, 0.0),
         channels=np.vstack([lines.channels, z[:c]]),
         loads=np.vstack([lines.loads, z[c:]]),
-        covariance=_append_mean_covariance(lines.covariance, factor, without_mean),
+        covariance=covariance,
         window=window,
         constant_volts=volts,
         constant_loads=units,
