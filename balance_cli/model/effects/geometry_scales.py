@@ -11,8 +11,12 @@ from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.campaign.rig.kinematics import motion_at
+from balance_cli.model.effects.base import EffectParameter
 
 Array = NDArray[np.float64]
+
+SMALL_ARM = 0.13
+"""A change of place that matters, relative to the size of the rig."""
 
 
 def transverse_axes(axis: Array) -> tuple[Array, Array]:
@@ -59,6 +63,18 @@ def corner_positions(geometry: Geometry) -> tuple[dict[str, float], ...]:
     """Coordinates x y z [m] of the corners of a cube about the origin, on each axis half as far as the rig reaches."""
     half = 0.5 * _largest_distance(geometry)
     return tuple(dict(zip("xyz", corner, strict=True)) for corner in product((-half, half), repeat=3))
+
+
+def attachment_position(geometry: Geometry, description: str) -> tuple[EffectParameter, ...]:
+    """Coordinates x y z [m] of a point of attachment, from half way up to the hub.
+
+    At the origin the moments of forces there have no derivative. `description` has the axis in braces: `{axis}`.
+    """
+    far, arm = position_bound(geometry), SMALL_ARM * rig_length(geometry)
+    return tuple(
+        EffectParameter(axis, "m", 0.0, arm, description.format(axis=axis), -far, far, 0.5 * hub, nuisance=True)
+        for axis, hub in zip("xyz", geometry.hub, strict=True)
+    )
 
 
 def rig_length(geometry: Geometry) -> float:

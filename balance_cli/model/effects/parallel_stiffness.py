@@ -10,16 +10,15 @@ Their other end is on the ground, not on the non-metric side of the balance.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import (
+    attachment_position,
     corner_positions,
-    position_bound,
     rig_frequency,
-    rig_length,
     stiffness_by_motion,
 )
 from balance_cli.model.effects.places import Where, whole_rig
@@ -32,8 +31,6 @@ SMALL = 1e-2
 
 SMALL_TIME = 0.004
 """A damping time that matters, in periods of the rig's modes: a loss factor of 2.5 % there."""
-SMALL_ARM = 0.13
-"""A change of place that matters, relative to the size of the rig."""
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -61,15 +58,8 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         start=SMALL_TIME / rig_frequency(geometry),
         nuisance=True,
     )
-    return (*_position_parameters(geometry), *springs, damping)
-
-
-def _position_parameters(geometry: Geometry) -> Iterator[EffectParameter]:
-    """Position of the springs, from half way up to the hub: at the origin their moments have no derivative."""
-    far, arm = position_bound(geometry), SMALL_ARM * rig_length(geometry)
-    for axis, hub in zip("xyz", geometry.hub, strict=True):
-        description = f"Position {axis} of its point of attachment to the plate."
-        yield EffectParameter(axis, "m", 0.0, arm, description, -far, far, 0.5 * hub, nuisance=True)
+    position = attachment_position(geometry, "Position {axis} of its point of attachment to the plate.")
+    return (*position, *springs, damping)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
