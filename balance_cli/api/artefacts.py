@@ -54,12 +54,14 @@ def load_artefact(path: PathLike) -> Any:
 
     >>> import balance_cli as bal
     >>> import tempfile, pathlib
-    >>> file = pathlib.Path(tempfile.mkdtemp()) / "calibration.h5"
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> file = pathlib.Path(folder.name) / "calibration.h5"
     >>> run, geometry = bal.read_run("sample_data/static-bare.h5"), bal.read_geometry("configs/rts-6.yaml")
     >>> digest = bal.save_artefact(file, bal.calibrate(run, geometry), inputs=[geometry, run])
     >>> bal.load_artefact(file)
     Calibration of RTS-6: 1 trim
       bare: 121 rows, condition 7.4, largest residual 0.0325 % FS (Mx)
+    >>> folder.cleanup()
     """
     return artefacts.load_artefact(Path(path), TYPES).content
 
