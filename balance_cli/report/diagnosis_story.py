@@ -14,6 +14,7 @@ from balance_cli.diagnosis.result import (
     ModelFreeTest,
     Trial,
 )
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.report.blocks import BulletList, PageBlock, Paragraph, Row, Table, TableCell
 from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
 from balance_cli.report.number_format import (
@@ -64,8 +65,11 @@ def _largest(trials: Sequence[Trial]) -> list[Trial]:
 
 
 def chi2_per_dof_without(diagnosis: Diagnosis, effect: FoundEffect) -> float:
-    """Return chi2/dof of the updated model without one of its effects; NaN where it cannot be told."""
-    if not diagnosis.dof:
+    """Return chi2/dof of the updated model without one of its effects; NaN where it cannot be told.
+
+    Where the updated model does not describe the data, the gains of effects are those of weights with a model error.
+    """
+    if not diagnosis.dof or not diagnosis.chi2_per_dof_after <= GOOD_FIT_CHI2_PER_DOF:
         return float("nan")
     return diagnosis.chi2_per_dof_after + effect.evidence.gain / diagnosis.dof
 

@@ -181,6 +181,8 @@ def test_the_story_says_where_the_residual_was_and_what_each_effect_took_away():
     # Chi-square 812.3 of 10 000 degrees of freedom, beside a chi2/dof of 1.04.
     assert "Without it chi2/dof would be 1.12 in place of 1.04" in words
     assert "mast-bending@x 92 % of what it gained" in words
+    misfit = replace(with_excitation(diagnosis(hold_out=hold_out())), chi2_per_dof_after=1880.0)
+    assert "Without it chi2/dof" not in story_text(section(given(misfit)))
     assert "Mast-bending@x: gains less" in words
     assert "the error of My goes from 1270 % to 0.31 %" in words
     assert row_of(made, "Mx", "time-delay@z1.piezo") == ["time-delay@z1.piezo", "31", "4.2"]
