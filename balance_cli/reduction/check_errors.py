@@ -20,6 +20,8 @@ HARMONICS_COMPARED = 8
 """Harmonics 1 to 8, as `load_error` is defined in the file contract."""
 SAME_PATTERN = 0.98
 """Correlation of what was found with what was expected at the harmonics, from which they differ by a factor only."""
+FEWEST_HARMONICS = 3
+"""Harmonics that have a pattern: a single one differs from any other by a factor only."""
 SMALLEST_FACTOR, LARGEST_FACTOR = 0.5, 2.0
 """Range of factors between reduced and applied loads that a response may be wrong by; units and signs lie outside."""
 
@@ -106,7 +108,9 @@ def scale_contradiction(check: CheckErrors, loads: ComplexArray, components: tup
     Only a component counts whose reduced harmonics have the pattern of the applied ones, so that a wrong response,
     which changes the pattern, is not taken for a wrong unit.
     """
-    factors = {}
+    factors: dict[str, float] = {}
+    if len(loads) <= FEWEST_HARMONICS:
+        return ""
     for name in check.load_error:
         applied, reduced = (values[1:, components.index(name)] for values in (check.applied, loads))
         product, power = np.vdot(applied, reduced), float(np.vdot(applied, applied).real)

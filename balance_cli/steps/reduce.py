@@ -119,12 +119,19 @@ def _unnoticed_errors(
 
 
 def _with_check_errors(loads: RunLoads, record: RotorRecord, solution: SolvedLoads, geometry: Geometry) -> RunLoads:
-    """Return the loads of a check run with their errors, flagged where the known loads have another unit or sign."""
+    """Return the loads of a check run with their errors, flagged where these are those of another unit or sign."""
     check = check_errors(record.spectra, solution, loads.components, geometry)
-    contradiction = scale_contradiction(check, loads.amplitude, loads.components)
-    if contradiction:
-        loads = replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, contradiction))
-    return replace(loads, check=check)
+    return flag_scale_contradiction(replace(loads, check=check))
+
+
+def flag_scale_contradiction(loads: RunLoads) -> RunLoads:
+    """Return the loads of a check run, all flagged where the known loads have another unit or sign."""
+    if loads.check is None:
+        return loads
+    contradiction = scale_contradiction(loads.check, loads.amplitude, loads.components)
+    if not contradiction:
+        return loads
+    return replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, contradiction))
 
 
 def _flag_implausible(loads: RunLoads, static: TrimCalibration) -> RunLoads:

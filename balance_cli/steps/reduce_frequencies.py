@@ -21,7 +21,7 @@ from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.reduction.rotor_record import tone_record
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
 from balance_cli.signals.run_samples import sample_rate
-from balance_cli.steps.reduce import reduce_record
+from balance_cli.steps.reduce import flag_scale_contradiction, reduce_record
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def _join_tones(parts: Sequence[RunLoads]) -> RunLoads:
     interval = (max(part.interval[0] for part in parts), min(part.interval[1] for part in parts))
     unnoticed = join_harmonics([part.unnoticed for part in parts])
     joined = replace(first, **stacked, flags=flags, notes=notes, interval=interval, unnoticed=unnoticed)
-    return replace(joined, check=_join_checks(parts) if first.check is not None else None)
+    return flag_scale_contradiction(replace(joined, check=_join_checks(parts) if first.check is not None else None))
 
 
 def _join_checks(parts: Sequence[RunLoads]) -> CheckErrors:

@@ -1,6 +1,7 @@
 """`balance reduce` without a calibration and without a rotor; the truth is that of the simulation."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -10,9 +11,15 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli import balance
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.io.artefacts import load_artefact
+from balance_cli.reduction.model_sources import model_source
 from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.steps.reduce_frequencies import reduce_run_at_frequencies
 from balance_cli.steps.reduction_inputs import default_harmonics
 from tests.support.rigs import rotor_balance
 
@@ -101,6 +108,16 @@ def test_tones_of_a_record_without_pulses_are_the_true_ones(folder):
     assert np.abs(found).max() < 5.0
     assert run["load_error"]["Fx"] < 0.002
     assert "240 Hz" in text.partition("trust in")[0]
+
+
+def test_loads_of_the_other_sign_are_named_once_over_all_tones(folder):
+    model = load_artefact(folder / "model.h5", {"balance-model/1": IdentifiedModel}).content
+    run = open_run(folder / "runs" / "tool.h5")
+    block = run.read()
+    turned = replace(run, source=MemorySource(block.channels, -block.loads))
+    found = reduce_run_at_frequencies(turned, TONES, model.geometry, None, model_source(model), None)
+    assert "".join(found.notes).count("reduced loads over applied ones: Fx -1") == 1
+    assert all("model contradicted" in flag for row in found.flags[1:] for flag in row)
 
 
 def test_tones_that_the_record_does_not_resolve_are_refused(folder):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from balance_cli.reduction.check_contradiction import contradicted_components, flag_by_check_runs
+from balance_cli.reduction.check_errors import scale_contradiction
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.result import CheckErrors
 from balance_cli.steps.cross_checks import compare_loads, compare_with_other_runs
 from balance_cli.steps.reduce import reduce_run
 
@@ -76,3 +78,14 @@ def test_an_error_within_sigma_contradicts_nothing(loads):
     wrong = next(iter(_with_error(loads, "Fz", 0.3, slice(1, None)).values()))
     wide = replace(wrong, sigma_cosine=wrong.sigma_cosine + 1e3)
     assert contradicted_components(wrong) and not contradicted_components(wide)
+
+
+@pytest.mark.parametrize(
+    ("harmonics", "factor", "words"), [(4, -1.0, "Fz -1"), (4, 1.1, ""), (2, -1.0, ""), (1, 0.1, "")]
+)
+def test_a_factor_between_loads_needs_several_harmonics(harmonics, factor, words):
+    applied = np.zeros((harmonics + 1, 1), complex)
+    applied[1:, 0] = np.random.default_rng(2).standard_normal((harmonics, 2)) @ [1.0, 1j]
+    check = CheckErrors({"Fz": 0.1}, {}, {"Fz": 0.01}, {}, applied)
+    said = scale_contradiction(check, factor * applied, ("Fz",))
+    assert words in said and bool(said) == bool(words)
