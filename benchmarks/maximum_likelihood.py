@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.cli.batch.executors import keep_freed_memory
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, evaluate_batch
@@ -44,6 +45,7 @@ class TimedFit:
 
 def compare() -> list[Comparison]:
     """Time both fits."""
+    keep_freed_memory()  # as every command does
     model, batches = _campaign()
     chi2 = _total(model, batches)
     fits = [_time_fit(lambda: _fit_with_balance_cli(model, batches), chi2) for _ in range(3)]

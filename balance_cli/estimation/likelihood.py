@@ -25,17 +25,19 @@ from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces
 from balance_cli.estimation.channel_distortions import RunDistortions
 from balance_cli.estimation.inner_products import (
+    LINES_AT_ONCE,
     MANY_PARAMETERS,
     ParameterChannels,
     information_product,
     parameter_channels,
     product_with_derivatives,
     real_inner_product,
+    weighted_information,
     weighted_squares,
 )
+from balance_cli.estimation.line_derivatives import channel_derivatives
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, join_tones, mains_tones
 from balance_cli.estimation.prediction import BatchPrediction, predict_batch
-from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.estimation.transients import (
     RunTransient,
@@ -44,10 +46,8 @@ from balance_cli.estimation.transients import (
     eliminate_transient,
     fit_transients,
 )
-from balance_cli.model.exciter_loads import true_load_derivatives, true_loads
-from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
-from balance_cli.model.system_response import Solution, response
+from balance_cli.model.system_response import Solution
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -137,16 +137,25 @@ def _eliminate_loads(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray,
     c, S = batch.lines.channels.shape[1], batch.lines.precision
     if batch.has_exact_loads:
         return S[:, :c, :c], None
+    precision, influence = np.empty((len(S), c, c), complex), np.empty((len(S), columns.shape[2], c), complex)
+    for start in range(0, len(S), LINES_AT_ONCE):  # some lines at a time, whose products stay in the cache
+        lines = slice(start, start + LINES_AT_ONCE)
+        removed, influence[lines] = _load_share(S[lines], columns[lines])
+        np.subtract(S[lines, :c, :c], removed, out=precision[lines])
+    return precision, influence
+
+
+def _load_share(S: ComplexArray, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """What the elimination of the loads takes off S (k, c+u, c+u), (k, c, c), and their change (k, u, c)."""
+    c = columns.shape[1]
     SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
     normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
     transposed = SM[:, :c].conj().swapaxes(1, 2)
     if normal.shape[1] == 1:  # one excited component at a time, as in most sweeps: no matrix to invert
         influence = transposed / normal
-        removed = SM[:, :c] * influence
-    else:
-        influence = np.linalg.solve(normal, transposed)
-        removed = np.matmul(SM[:, :c], influence)
-    return np.subtract(S[:, :c, :c], removed, out=removed), np.asarray(influence, complex)
+        return SM[:, :c] * influence, influence
+    influence = np.asarray(np.linalg.solve(normal, transposed), complex)
+    return np.matmul(SM[:, :c], influence), influence
 
 
 def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray:
@@ -154,38 +163,6 @@ def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray
     six = np.zeros((len(loads), 6), complex)
     np.put_along_axis(six, batch.lines.components, loads, axis=1)
     return six
-
-
-def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: BatchEvaluation) -> ComplexArray:
-    """Derivatives dY (K, c, p) at the estimated exciter loads.
-
-    What the exciters' force cells do not measure, offsets and nonlinear forces are included.
-    """
-    place = (system, solution, batch.lines.index, fit.loads, attached_exciters(batch), batch.is_static)
-    derivatives = output_jacobian(system, solution, batch.lines.index, true_loads(*place))
-    change = true_load_derivatives(*place)
-    if change is not None:
-        acting, of_loads = change
-        derivatives[:, :, acting] += np.matmul(response(system, solution)[batch.lines.index], of_loads)
-    for run in fit.nonlinear:
-        run.add_derivatives(system, derivatives[run.lines])
-    _add_offset_derivatives(derivatives, batch, system, solution)
-    return derivatives
-
-
-def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
-    """Add those by the offsets to `derivatives` (K, c, p), in place; an offset of a load lowers the load that acts."""
-    if np.any(system.equations.channel_offset.derivative):
-        lines = np.flatnonzero(batch.lines.constant_volts)
-        derivatives[lines] += (
-            batch.lines.constant_volts[lines, None, None] * system.equations.channel_offset.derivative.T
-        )
-    if np.any(system.equations.load_offset.derivative):
-        lines = np.flatnonzero(np.any(batch.lines.constant_loads, axis=1))
-        components = batch.lines.components[lines]
-        columns = recorded_load_columns(batch, system, solution)[lines]
-        offset = system.equations.load_offset.derivative.T[components] * batch.lines.constant_loads[lines, :, None]
-        derivatives[lines] -= np.matmul(columns, offset)
 
 
 @dataclass(frozen=True)
@@ -240,7 +217,7 @@ class BatchDerivatives:
 
     def _block(self, own: Index | slice) -> Array:
         """The information (q, q) of some parameters."""
-        information = 2.0 * real_inner_product(self.derivatives[:, :, own], self.weighted(own))
+        information = 2.0 * weighted_information(self.derivatives[:, :, own], self.fit.precision)
         for term in self.further_terms:
             information = information + term.information(own, own)
         return np.asarray(information)
@@ -251,7 +228,7 @@ def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | No
     shared = SharedSolutions(system) if shared is None else shared
     solution = shared.solution(batch.frequency, batch.spin)
     fit = evaluate_batch(batch, system, solution, derivatives=True, shared=shared)
-    derivatives = channel_derivatives(batch, system, solution, fit)
+    derivatives = channel_derivatives(batch, system, solution, fit.loads, fit.nonlinear)
     for transient in fit.transients:
         add_transient_derivatives(transient, derivatives[transient.lines])
     tones = [tone.curvature(derivatives[tone.form.lines]) for tone in fit.mains_tones]

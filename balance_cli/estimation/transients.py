@@ -167,13 +167,14 @@ def transient_columns(free: TransientModes, window: AnalysisWindow, frequency: A
     A mode with volts v has A v a + B conj(v a), with A = Z(w) / v and B = conj(Z(-w) / v).
     """
     starts, index = np.unique(window.start, return_inverse=True)
-    decay, m = _window_decay(free.s, starts, window)[0][index], len(free.s)
-    A, B = (decay * _resolvent(free.s, w, window) for w in _both_signs(frequency))
-    of_a, of_conjugate = A[:, None, :] * free.volts, B.conj()[:, None, :] * free.volts.conj()
-    columns = np.empty((len(A), len(free.volts), m + free.oscillating), complex)
-    np.add(of_a, of_conjugate, out=columns[:, :, :m])
-    np.subtract(of_a[:, :, : free.oscillating], of_conjugate[:, :, : free.oscillating], out=columns[:, :, m:])
-    columns[:, :, m:] *= 1j
+    # One factor per column, not per mode: loops over few modes cost more than the numbers that they repeat.
+    modes = np.concatenate([np.arange(len(free.s)), np.arange(free.oscillating)])
+    unit = np.where(np.arange(len(modes)) < len(free.s), 1.0, 1j)
+    decay = _window_decay(free.s, starts, window)[0][index]
+    A, B = ((decay * _resolvent(free.s, w, window))[:, modes] for w in _both_signs(frequency))
+    volts = unit * free.volts[:, modes]
+    columns = A[:, None, :] * volts
+    columns += B.conj()[:, None, :] * volts.conj()
     return columns
 
 
@@ -291,4 +292,4 @@ def _window_decay(s: ComplexArray, starts: Array, window: AnalysisWindow) -> tup
 
 def _resolvent(s: ComplexArray, w: Array, window: AnalysisWindow) -> ComplexArray:
     """R (K, m) = 1 / (1 - exp((s - jw) h))."""
-    return np.asarray(1.0 / (1.0 - np.exp((s - 1j * w[:, None]) * window.step)), complex)
+    return np.asarray(1.0 / (1.0 - np.exp(-1j * w * window.step)[:, None] * np.exp(s * window.step)), complex)

@@ -210,3 +210,23 @@ def test_information_of_parameters_that_show_in_one_channel_is_the_product_of_al
         information_product(derivatives, precision), expected, atol=1e-12 * np.abs(expected).max()
     )
     assert np.count_nonzero(expected) > count
+
+
+def test_runs_at_two_levels_share_the_derivatives_per_unit_load():
+    """Against each run alone, which has no second level to share them with."""
+    rig = rotor_balance()
+    rng = np.random.default_rng(6)
+    runs = [
+        replace(noisy_lines(rig, rng, (name,), loads=size), run=f"{name} {size}")
+        for name in ("Fx", "My")
+        for size in (5.0, 20.0)
+    ]
+    model = balance_model(rig)
+    system = model.system(model.parameters.value + 0.3 * model.parameters.sigma)
+    together = data_curvature(stack_runs(runs, [], rig.channel_names), system)
+    alone = [data_curvature(stack_runs([run], [], rig.channel_names), system) for run in runs]
+    size = np.sqrt(np.diag(together.information))
+    information = sum(item.information for item in alone)
+    gradient = sum(item.gradient for item in alone)
+    assert np.all(np.abs(together.information - information) <= 1e-12 * np.outer(size, size))
+    assert np.all(np.abs(together.gradient - gradient) <= 1e-12 * size * np.sqrt(together.chi2))
