@@ -180,9 +180,8 @@ def best_fits(
 
 def _residual_sum_of_squares(fit: WindowFit, whitening: ComplexArray | None) -> float:
     """Sum of squares of the residual of a window, whitened or weighted."""
-    if whitening is None:
-        return float(np.sum(np.abs(fit.residual * fit.weight[:, None]) ** 2))
-    return float(np.sum(np.abs(np.matmul(whitening, fit.residual[:, :, None])) ** 2))
+    parts = fit.residual * fit.weight[:, None] if whitening is None else np.matmul(whitening, fit.residual[:, :, None])
+    return float(np.vdot(parts, parts).real)
 
 
 def _assemble_models(
