@@ -159,7 +159,7 @@ class Session(Messages, WorkReports):
         """Stage an artefact of this format for `path`, by default with the provenance of all inputs read so far."""
         from balance_cli.io.artefacts import save_artefact
 
-        with self.log_duration(f"{path} written"):
+        with self.working(f"writing {path}"):
             save_artefact(self.stage(path), format, content, provenance or self.provenance())
 
     def write_text(self, path: Path, text: str) -> None:

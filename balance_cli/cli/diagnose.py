@@ -107,7 +107,7 @@ def command(
     hold_out_runs = _select_usable_hold_out(session, hold_out_runs, skip_bad)
     kept_aside = () if hold_out else choose_hold_out(records)
     records = tuple(run for run in records if run not in kept_aside)
-    spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry, means=True)
+    spectra = measured_spectra(session.progress(records, "spectra", len(records), False), before.geometry, means=True)
     _check_spectra(session, spectra)
     hold_out_runs = _warn_about_hold_out(session, before, (*hold_out_runs, *kept_aside), kept_aside)
     diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, settings)
@@ -214,7 +214,7 @@ def _hold_out_run_errors(
     from balance_cli.steps.hold_out import hold_out_errors
 
     errors = {}
-    for run in session.progress(hold_out_runs, "hold-out runs", len(hold_out_runs)):
+    for run in session.progress(hold_out_runs, "hold-out runs", len(hold_out_runs), False):
         with session.skip_if_unusable(run, skip_bad):
             errors[run.name] = hold_out_errors(run, before, after)
     return errors

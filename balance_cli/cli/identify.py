@@ -97,7 +97,7 @@ def command(
     rig = add_effects(rig, effects)
     records = session.runs(runs, rig, skip_bad)
     records = require_consistent_runs(session, rig, records, skip_bad, identified_anyway)
-    spectra = measured_spectra(session.progress(records, "spectra", len(records)), rig)
+    spectra = measured_spectra(session.progress(records, "spectra", len(records), False), rig)
     for name, reason in spectra.unused.items():
         session.report_left_out(name, reason)
     options = IdentifyOptions(method=method, form=form, damping=damping, band=band)

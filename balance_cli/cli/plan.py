@@ -236,7 +236,7 @@ def _read_files(
 def _spectra(session: Session, records: Sequence[Run], geometry: Geometry) -> Spectra:
     from balance_cli.estimation.measured_spectra import measured_spectra
 
-    spectra = measured_spectra(session.progress(records, "spectra", len(records)), geometry, means=True)
+    spectra = measured_spectra(session.progress(records, "spectra", len(records), False), geometry, means=True)
     for name, reason in spectra.unused.items():
         session.report_left_out(name, reason)
     return spectra

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from typing import TypeVar
+from contextlib import contextmanager, nullcontext
+from typing import Any, TypeVar
 
 import click
 
@@ -17,6 +18,10 @@ T = TypeVar("T")
 BAR_FORMAT = "{desc} {percentage:3.0f} %|{bar}| {elapsed}<{remaining}"
 LINE_INTERVAL = 10.0
 """[s] between the lines of a step: a log stays short, and nobody takes the step for dead."""
+TICK = 1.0
+"""[s] between the redraws of a bar whose step computes, so that its time runs on while it stands."""
+USUAL_SIZE = (80, 24)
+"""Columns and rows of a terminal that does not say how many it has (0), on which tqdm would draw nothing."""
 FIRST_SIGN = 2.0
 """[s] after which a step that cannot say how far it is shows on a terminal that it is at work."""
 
@@ -39,45 +44,85 @@ class ProgressLines:
         click.echo(f"balance: {task}: {100 * fraction:.0f} % after {elapsed:.0f} s{left}", err=True)
 
 
-def track(items: Iterable[T], description: str, total: int | None) -> Iterator[T]:
-    """Yield the same items, with their progress as far as their number is known."""
+def track(items: Iterable[T], description: str, total: int | None, reads_files: bool = True) -> Iterator[T]:
+    """Yield the same items, with their progress as far as their number is known.
+
+    Unless the work on an item `reads_files` (see `working`), the time runs on while an item takes long.
+    """
     begin, done = time.monotonic(), 0
-    for done, item in enumerate(_shown(items, description, total), 1):  # noqa: B007  # counts them
+    for done, item in enumerate(_shown(items, description, total, reads_files), 1):  # noqa: B007  # counts them
         yield item
     log.info("%s: %d in %.2f s", description, done, time.monotonic() - begin)
 
 
-def _shown(items: Iterable[T], description: str, total: int | None) -> Iterator[T]:
+def _shown(items: Iterable[T], description: str, total: int | None, reads_files: bool) -> Iterator[T]:
     if is_quiet():
         yield from items
         return
     if sys.stderr.isatty():
-        from tqdm import tqdm
-
-        tqdm.monitor_interval = 0  # no thread, which would make the fork of the process that reads files unsafe
-        yield from tqdm(items, desc=description, total=total, file=sys.stderr, leave=False)
+        bar = _bar(iterable=items, desc=description, total=total)
+        with nullcontext() if reads_files else _repeat(bar.refresh):
+            yield from bar
         return
-    lines = ProgressLines()
-    for done, item in enumerate(items):
+    lines, done = ProgressLines(), 0
+
+    def show() -> None:
         if total:
             lines.show(f"{description}, {done} of {total}", done / total)
-        yield item
+
+    with nullcontext() if reads_files else _repeat(show):
+        for done, item in enumerate(items):  # noqa: B007  # `show` reads it
+            show()
+            yield item
+
+
+def _bar(**options: Any) -> Any:
+    """Return a bar of tqdm on stderr."""
+    from tqdm import tqdm
+
+    tqdm.monitor_interval = 0  # no thread, which would make the fork of the process that reads files unsafe
+    columns, rows = (None, None) if os.get_terminal_size(sys.stderr.fileno()).columns else USUAL_SIZE
+    return tqdm(file=sys.stderr, leave=False, ncols=columns, nrows=rows, **options)
+
+
+@contextmanager
+def _repeat(call: Callable[[], object]) -> Iterator[None]:
+    """Call a function every TICK from a thread of its own; no file is read within, as in `working`."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(TICK):
+            call()
+
+    thread = threading.Thread(target=repeat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield a callback `show(task, fraction)`: it draws a bar where stderr is a terminal, else it writes lines."""
+    """Yield a callback `show(task, fraction)`: it draws a bar where stderr is a terminal, else it writes lines.
+
+    The time runs on between two calls. No file is read within, as in `working`.
+    """
     if is_quiet():
         yield lambda task, fraction: None
         return
     if not sys.stderr.isatty():
-        lines = ProgressLines()
-        yield _logged(lines.show)
-        return
-    from tqdm import tqdm
+        lines, last = ProgressLines(), [("", 0.0)]
 
-    tqdm.monitor_interval = 0
-    with tqdm(total=1.0, bar_format=BAR_FORMAT, file=sys.stderr, leave=False) as bar:
+        def show_line(task: str, fraction: float) -> None:
+            last[0] = task, fraction
+            lines.show(task, fraction)
+
+        with _repeat(lambda: lines.show(*last[0])):
+            yield _logged(show_line)
+        return
+    with _bar(total=1.0, bar_format=BAR_FORMAT) as bar, _repeat(bar.refresh):
 
         def show(task: str, fraction: float) -> None:
             bar.set_description_str(f"{task:<32.32}", refresh=False)

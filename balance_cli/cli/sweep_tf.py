@@ -59,7 +59,9 @@ def command(
     rig = session.geometry(geometry)
     opened = session.runs(runs, rig, skip_bad)
     opened = require_consistent_runs(session, rig, opened, skip_bad, measured_anyway)
-    transfer = estimate_responses(session.progress(opened, "runs", len(opened)), rig, estimator, band)
+    transfer = estimate_responses(
+        opened, rig, estimator, band, lambda sweeps: session.progress(sweeps, "responses", len(sweeps), False)
+    )
     with session.collect_messages():
         _report_runs(session, transfer)
     session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))

@@ -16,11 +16,16 @@ log = logging.getLogger(__name__)
 class WorkReports:
     """The progress of the steps of one call."""
 
-    def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
-        """The same items, with a progress bar where stderr is a terminal, else a line every ten seconds."""
+    def progress(
+        self, items: Iterable[T], description: str, total: int | None = None, reads_files: bool = True
+    ) -> Iterable[T]:
+        """The same items, with a progress bar where stderr is a terminal, else a line every ten seconds.
+
+        Unless the work on an item `reads_files`, the time of the bar runs on while an item takes long.
+        """
         from balance_cli.cli.progress import track
 
-        return track(items, description, total)
+        return track(items, description, total, reads_files)
 
     @contextmanager
     def working(self, task: str) -> Iterator[None]:

@@ -165,14 +165,24 @@ def _check_inputs(model: IdentifiedModel, spectra: Spectra) -> None:
 
 
 class _Announcer:
-    """Reports the progress: each call is one step further, and `done` is the end; tells whether the time is over."""
+    """Reports the progress: each call begins a step, and `done` is the end; tells whether the time is over."""
 
-    EXPECTED_STEPS = 16
-    """Steps of a usual diagnosis. Further ones stay below LAST_SHARE."""
+    WORK = (
+        ("search, round", 3.5),
+        ("search", 2.0),
+        ("maximum likelihood", 2.0),
+        ("all lines", 4.0),
+        ("resonances", 2.0),
+    )
+    """Work of a step by the beginning of its text, relative to others, as diagnoses of campaigns took."""
+    USUAL_WORK = 0.3
+    """Work of any other step, most of which test one effect."""
+    EXPECTED_WORK = 17.0
+    """Work of a usual diagnosis: two rounds of the search, one on all lines. Further steps stay below LAST_SHARE."""
     LAST_SHARE = 0.95
 
     def __init__(self, progress: Progress | None, time_limit: float) -> None:
-        self._progress, self._count = progress, 0
+        self._progress, self._done, self._at_work = progress, 0.0, 0.0
         self._deadline = Deadline(time_limit)
 
     @property
@@ -181,8 +191,9 @@ class _Announcer:
         return self._deadline.is_over
 
     def __call__(self, text: str) -> bool:
-        self._count += 1
+        self._done += self._at_work
+        self._at_work = next((work for begin, work in self.WORK if text.startswith(begin)), self.USUAL_WORK)
         if self._progress is not None:
-            share = min(self._count / self.EXPECTED_STEPS, self.LAST_SHARE)
+            share = min(self._done / self.EXPECTED_WORK, self.LAST_SHARE)
             self._progress(text, 1.0 if text == "done" else share)
         return self.is_over

@@ -6,7 +6,7 @@ which is free of leakage. H1, H2, Hv and the local polynomial method are availab
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,12 +36,16 @@ SAME_LEVEL = 0.05
 
 
 def estimate_responses(
-    runs: Iterable[Run], geometry: Geometry, estimator: str = AUTO, band: tuple[float, float] = (0.0, np.inf)
+    runs: Iterable[Run],
+    geometry: Geometry,
+    estimator: str = AUTO,
+    band: tuple[float, float] = (0.0, np.inf),
+    progress: Callable[[Sequence[Run]], Iterable[Run]] = iter,
 ) -> Transfer:
     """Estimate the responses of all sweeps among the runs, at their lines within `band` [Hz].
 
-    `estimator` is one of ESTIMATORS. Raises UserError where no run is a sweep, and where a sweep has no live channel or
-    cannot be used by the estimator.
+    `estimator` is one of ESTIMATORS; `progress` returns the sweeps one by one as they are worked on. Raises UserError
+    where no run is a sweep, and where a sweep has no live channel or cannot be used by the estimator.
     """
     if not band[0] < band[1]:
         raise UserError(
@@ -53,14 +57,11 @@ def estimate_responses(
     if not sweeps:
         raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
     live, left_out = _live_channels_by_run(sweeps, geometry)
-    forces = {run.name: force for run in sweeps if (force := single_force(run)) is not None}
-    points = [_point_force(force, live[name], estimator, band) for name, force in forces.items()]
-    sweeps = [run for run in sweeps if run.name not in forces]
-    periodic = [run for run in sweeps if _is_periodic(run, estimator)]
-    records = [(run, periodic_record(run, live[run.name], band)) for run in periodic]
-    nonperiodic = [run for run in sweeps if run not in periodic]
+    measured = [_measure_sweep(run, live[run.name], estimator, band) for run in progress(sweeps)]
+    points = [item for item in measured if isinstance(item, PointForce)]
+    records = [(run, item) for run, item in zip(sweeps, measured, strict=True) if isinstance(item, PeriodicRecord)]
     at_hub = _periodic_responses(records)
-    at_hub += [_nonperiodic_response(run, live[run.name], estimator, band) for run in nonperiodic]
+    at_hub += [item for item in measured if isinstance(item, FrequencyResponse)]
     responses, faults = _add_point_responses(at_hub, points)
     return Transfer(
         geometry=geometry,
@@ -71,6 +72,18 @@ def estimate_responses(
         unused_runs=unused | faults,
         usual_noise=measure_usual_noise(runs, geometry.channel_names) or None,
     )
+
+
+def _measure_sweep(
+    run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]
+) -> PointForce | PeriodicRecord | FrequencyResponse:
+    """The response to a force at a point, the lines of a periodic record, or the response of another one."""
+    force = single_force(run)
+    if force is not None:
+        return _point_force(force, channel_names, estimator, band)
+    if _is_periodic(run, estimator):
+        return periodic_record(run, channel_names, band)
+    return _nonperiodic_response(run, channel_names, estimator, band)
 
 
 def _point_force(

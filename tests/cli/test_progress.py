@@ -1,5 +1,12 @@
 """Progress without a terminal: lines from time to time, none for short steps."""
 
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
 import time
 from pathlib import Path
 
@@ -92,7 +99,31 @@ def test_quiet_leaves_warnings_and_errors_and_verbose_says_what_is_done(tmp_path
     words = ["identify", "-g", str(GEOMETRY), "--method", "computed", str(SWEEP), "-o", str(tmp_path / "m.h5")]
     done = CliRunner().invoke(balance, [*words, "-v"])
     assert done.exit_code == 0
-    for step in ("1 runs opened in ", "spectra: 1 in ", "fit in ", "m.h5 written in "):
+    for step in ("1 runs opened in ", "spectra: 1 in ", "fit in ", "writing "):
         assert step in done.stderr
     assert "info" not in CliRunner().invoke(balance, words).stderr
     assert "no such file" in CliRunner().invoke(balance, [*words[:-3], "absent.h5", *words[-2:], "-q"]).stderr
+
+
+def test_the_time_runs_on_while_an_item_or_a_task_takes_long(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "TICK", 0.02)
+    monkeypatch.setattr(progress, "LINE_INTERVAL", 0.1)
+    for _ in progress.track([1], "responses", 1, reads_files=False):
+        time.sleep(0.3)
+    with progress.progress_bar() as show:
+        show("search", 0.5)
+        time.sleep(0.3)
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("balance: responses, 0 of 1: 0 % after") for line in lines) >= 1
+    assert sum(line.startswith("balance: search: 50 % after") for line in lines) >= 1
+
+
+@pytest.mark.parametrize("columns", [0, 100])
+def test_a_bar_is_drawn_on_a_terminal_that_does_not_know_its_size(columns):
+    terminal, other = pty.openpty()
+    fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", columns // 4, columns, 0, 0))
+    code = "from balance_cli.cli.progress import track\nfor _ in track([1, 2], 'runs', 2): pass"
+    subprocess.run([sys.executable, "-c", code], stderr=other, check=True)
+    os.close(other)
+    assert b"runs:" in os.read(terminal, 4096)
+    os.close(terminal)

@@ -22,6 +22,7 @@ from balance_cli.signals.response.transfer import (
     response_to_component,
     select_component,
 )
+from balance_cli.steps import sweep_tf
 from balance_cli.steps.sweep_tf import ESTIMATORS, estimate_responses
 from tests.support.rigs import rotor_balance
 from tests.support.swept_rig import SweptRig, relative_error
@@ -220,3 +221,22 @@ def test_runs_of_other_levels_are_solved_apart():
     runs = [replace(THREE.multisine(seed), name=f"run-{seed}") for seed in range(3)]
     low = [replace(run, name=f"low-{run.name}", level=(20.0, 40.0, 40.0)) for run in runs]
     assert len(estimate_responses([*runs, *low], GEOMETRY).responses) == 2
+
+
+def test_progress_names_each_sweep_as_it_is_worked_on(monkeypatch):
+    """The sweeps come one by one; a list made beforehand let the bar stand at 0 % until all were done."""
+    order, runs = [], [replace(RIG.multisine(seed), name=f"sweep {seed}") for seed in range(2)]
+
+    def progress(sweeps):
+        for run in sweeps:
+            order.append(f"begin {run.name}")
+            yield run
+            order.append(f"end {run.name}")
+
+    def measure(run, *rest):
+        order.append(f"measure {run.name}")
+        return periodic_record(run, *rest)
+
+    monkeypatch.setattr(sweep_tf, "periodic_record", measure)
+    estimate_responses(runs, GEOMETRY, progress=progress)
+    assert order == [f"{word} {run.name}" for run in runs for word in ("begin", "measure", "end")]
