@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,3 +142,8 @@ class FrequencyResponse:
     multiple_coherence: Array
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
+
+    @cached_property
+    def window_models(self) -> dict[bytes, Any]:
+        """The local models of its lines so far, by the indices of the lines, kept by `response.window_models`."""
+        return {}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.io.errors import UserError
+from balance_cli.signals.response import window_models
 from balance_cli.signals.response.interpolation import INTERPOLATION_METHODS, interpolate_response, interpolate_values
 from balance_cli.signals.response.interpolation_error import interpolate_with_error
 from balance_cli.signals.run_spectrum import FrequencyResponse
@@ -55,7 +56,7 @@ def test_local_is_the_best_by_far():
 
 @pytest.mark.parametrize("method", INTERPOLATION_METHODS)
 def test_values_alone_are_as_good(method):
-    """One local model for all frequencies between two lines, instead of one for each."""
+    """They come from the same local models."""
     response = measured()
     error = relative_error(RIG, places(), interpolate_values(response, places(), method))
     expected = errors(method)
@@ -150,3 +151,29 @@ def test_sigma_of_a_well_resolved_response_hardly_grows():
     with_error = interpolate_with_error(response, frequency, "local")
     traces = [np.trace(at.channel_covariance, axis1=1, axis2=2).real for at in (plain, with_error)]
     assert np.median(traces[1] / traces[0]) < 1.05
+
+
+def test_values_do_not_depend_on_what_was_interpolated_before():
+    """To the last digit: runs are reduced in any order, by any number of workers."""
+    first, second = measured(), measured()
+    frequency = places(count=60)
+    interpolate_with_error(second, np.array([17.3, 80.1, 149.9]), "local")
+    interpolate_values(second, frequency[::-1], "local")
+    for function in (interpolate_values, interpolate_with_error):
+        ours, others = (function(response, frequency, "local") for response in (first, second))
+        np.testing.assert_array_equal(getattr(ours, "value", ours), getattr(others, "value", others))
+    assert first.window_models.keys() == second.window_models.keys()
+
+
+def test_windows_are_fitted_once_and_those_of_a_long_response_are_not_all_kept(monkeypatch):
+    response, calls = measured(), []
+    fit = window_models._fit_block
+    monkeypatch.setattr(window_models, "_fit_block", lambda *given: calls.append(1) or fit(*given))
+    values = interpolate_values(response, np.array([17.3, 35.1]), "local")
+    assert len(calls) == 2
+    np.testing.assert_array_equal(interpolate_values(response, np.array([17.3, 35.1]), "local"), values)
+    interpolate_response(response, 17.31)
+    assert len(calls) == 2
+    monkeypatch.setattr(window_models, "MOST_KEPT", 20)
+    np.testing.assert_array_equal(interpolate_values(response, np.array([35.1, 17.3]), "local"), values[::-1])
+    assert len(response.window_models) == 20

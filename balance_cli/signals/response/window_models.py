@@ -1,0 +1,129 @@
+"""Local models of a measured response in windows of neighboring lines, each fitted once.
+
+A model holds between the lines in the middle of its window, at whatever frequency; the harmonics of the runs of a
+campaign fall into the same windows again and again. Windows are fitted in blocks that do not depend on which of them
+are asked for: results are the same whatever was reduced before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.signals.local.fit import LocalFit, ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.local.window import WindowFit, split_windows
+from balance_cli.signals.run_spectrum import FrequencyResponse
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+LOCAL_LINES = 11
+"""Lines to which a local model is fitted: enough for a mode and its surroundings, and few enough for low orders."""
+INTERPOLATION_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2, 3) for poles in (0, 1, 2, 3))
+LEAST_RELATIVE_SIGMA = 1e-9
+"""Least standard deviation over amplitude; a computed response has none."""
+BLOCK = 16
+"""Windows fitted at a time: beyond it the time of a fit grows with their number, below it hardly falls."""
+MOST_KEPT = 4096
+"""Windows of one response that are kept, of 6 kB each with 15 channels."""
+
+
+@dataclass(frozen=True)
+class WindowModel:
+    """The best local model of the lines `index` (M,), about their `center` [Hz] with the half-width `half` [Hz].
+
+    `sigma` (c u,) are the standard deviations by which the outputs were divided.
+    """
+
+    index: Index
+    fit: WindowFit
+    center: float
+    half: float
+    sigma: Array
+
+    def position(self, frequency: Array | float) -> Array:
+        """The position of a frequency [Hz] in the window, -1 and 1 at its outer lines."""
+        return np.asarray((frequency - self.center) / self.half)
+
+
+def neighboring_lines(
+    response: FrequencyResponse, query_frequency: Array, count: int, left_out: Index | None = None
+) -> Index:
+    """Return the `count` lines (h, count) around each frequency; at the ends of the band the outermost lines.
+
+    `left_out` (h,) is the index of a line that is not used at each frequency.
+    """
+    K = len(response.frequency) - (left_out is not None)
+    count = min(count, K)
+    above = np.searchsorted(response.frequency, query_frequency)
+    if left_out is None:
+        return np.asarray(np.clip(above - count // 2, 0, K - count)[:, None] + np.arange(count))
+    above = above - (above > left_out)
+    index = np.clip(above - count // 2, 0, K - count)[:, None] + np.arange(count)
+    return np.asarray(index + (index >= left_out[:, None]))
+
+
+def window_models(response: FrequencyResponse, index: Index) -> list[WindowModel]:
+    """Return the best local models of windows (h, M) of lines, with orders selected by Akaike's criterion, V + 2 p."""
+    kept: dict[bytes, WindowModel] = response.window_models
+    models = []
+    for row in index:
+        key = row.tobytes()
+        if key not in kept:
+            kept |= {model.index.tobytes(): model for model in _fit_block(response, _block_of(response, row))}
+        models.append(kept[key])
+    for oldest in list(kept)[: max(len(kept) - MOST_KEPT, 0)]:
+        del kept[oldest]
+    return models
+
+
+def _block_of(response: FrequencyResponse, row: Index) -> Index:
+    """The block (w, M) of windows to which a window belongs: those beside it, with or without a line left out."""
+    K, M = len(response.frequency), len(row)
+    if row[-1] - row[0] == M - 1:
+        start = row[0] // BLOCK * BLOCK
+        return np.asarray(np.arange(start, min(start + BLOCK, K - M + 1))[:, None] + np.arange(M))
+    missing = int(row[0] + np.flatnonzero(np.diff(row) > 1)[0] + 1)
+    start = missing // BLOCK * BLOCK
+    lines = np.arange(start, min(start + BLOCK, K))
+    block = neighboring_lines(response, response.frequency[lines], M, lines)
+    return block if np.any(np.all(block == row, axis=1)) else row[None]
+
+
+def _fit_block(response: FrequencyResponse, index: Index) -> list[WindowModel]:
+    """The best local model of each window (h, M)."""
+    lines = response.frequency[index]
+    center, half = 0.5 * (lines[:, -1] + lines[:, 0]), 0.5 * (lines[:, -1] - lines[:, 0])
+    windows, sigma = _response_windows(response, index, (lines - center[:, None]) / half[:, None])
+    candidates = [
+        orders for orders in INTERPOLATION_ORDERS if orders.response + orders.denominator + 2 < index.shape[1]
+    ]
+    fits = [fit_windows(windows, orders) for orders in candidates]
+    best = np.argmin([_akaike_criterion(windows, fit) for fit in fits], axis=0)
+    window_fits = [split_windows(fit, windows) for fit in fits]
+    return [
+        WindowModel(row, window_fits[best[h]][h], float(center[h]), float(half[h]), sigma[h])
+        for h, row in enumerate(index)
+    ]
+
+
+def _response_windows(response: FrequencyResponse, index: Index, r: Array) -> tuple[WindowedData, Array]:
+    """Data of the windows: every channel and component as an output (h, M, c u) of a unit input, scaled by sigma."""
+    c, u = response.response.shape[1:]
+    values = response.response[index].reshape(*index.shape, c * u)
+    channels = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
+    loads = np.diagonal(response.load_covariance, axis1=1, axis2=2).real
+    variance = (channels[:, :, None] * loads[:, None, :]).reshape(-1, c * u)[index]
+    size = np.max(np.abs(values), axis=1)
+    sigma = np.maximum(np.sqrt(np.median(variance, axis=1)), LEAST_RELATIVE_SIGMA * np.where(size > 0, size, 1.0))
+    level = np.maximum(np.mean(variance / sigma[:, None, :] ** 2, axis=2), 1e-3)
+    ones = np.ones((*index.shape, 1), complex)
+    return WindowedData(values / sigma[:, None, :], ones, 1.0 / np.sqrt(level), r), sigma
+
+
+def _akaike_criterion(windows: WindowedData, fit: LocalFit) -> Array:
+    outputs = windows.Y.shape[2]
+    return np.asarray(fit.cost + 2.0 * (outputs * fit.orders.coefficients(1) + fit.orders.denominator), float)
