@@ -8,24 +8,16 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.importers.base import ChannelGroup, ForeignChannel, ForeignFile
-from balance_cli.importers.time_axis import TimeAxis, read_time_axis
-from balance_cli.importers.time_columns import TIME_NAME
+from balance_cli.importers.base import ForeignChannel, ForeignFile
 from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
-from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
+from balance_cli.io.units import FORCE, MOMENT, TIME
+from balance_cli.steps.sketched_times import empty_times, even_column, time_axis, time_channel, unit_of
 
-TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
-UNNAMED = "column 1"
-"""First column of a text without names."""
-TIMES_READ = 4096
-"""Samples of a column of times from which its step is told."""
 FASTEST_GUESS = 2e6
 """[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
 RATE_TOLERANCE = 1e-3
@@ -61,9 +53,9 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     first = files[0]
     channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
     times = [group.channels[group.time] for group in first.groups if group.time is not None]
-    time = times[0] if times else _time_channel(first) or _even_column(first)
+    time = times[0] if times else time_channel(first) or even_column(first)
     _require_signals(first, channels, time)
-    ignored = [time, *times, *_empty_times(first)]
+    ignored = [time, *times, *empty_times(first)]
     rest = [channel for channel in channels if not any(channel is other for other in ignored)]
     tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
     rest = [channel for channel in rest if channel is not tachometer]
@@ -79,67 +71,6 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     )
     lines += _rotor_lines(tachometer, geometry)
     return "\n".join([*lines, "runs:", *_run_lines(files, geometry)]) + "\n"
-
-
-def _last_name(channel: ForeignChannel) -> str:
-    """The name in lower case, without those of the structures that hold it, numbers and unit."""
-    return re.sub(r"\[\d+\]$", "", channel.name.lower()).rpartition(".")[2]
-
-
-def _time_channel(file: ForeignFile) -> ForeignChannel | None:
-    """The first channel with the name of a time, and with a value."""
-    for group in file.groups:
-        for column, channel in enumerate(group.channels):
-            is_time = not group.unusable and _names_time(channel, column)
-            if is_time and group.samples and np.isfinite(group.read([column], 0, 1)).all():
-                return channel
-    return None
-
-
-def _names_time(channel: ForeignChannel, column: int) -> bool:
-    """Whether a channel has the name of a time, or two of: a name that begins so, a unit of time, the first column.
-
-    Oscilloscopes call their times `X`, in `Second`.
-    """
-    if _last_name(channel) in TIME_NAMES:
-        return True
-    has_unit = bool(_unit_of(channel.unit, TIME))
-    if column == 0 and has_unit:
-        return True
-    return bool(TIME_NAME.match(channel.name)) and (has_unit or (not channel.unit and column == 0))
-
-
-def _empty_times(file: ForeignFile) -> list[ForeignChannel]:
-    """The channels with the name of a time and without a value: LabVIEW writes an empty `X_Value`."""
-    return [
-        channel
-        for group in file.groups
-        for column, channel in enumerate(group.channels)
-        if _last_name(channel) in TIME_NAMES and not group.unusable and group.samples
-        if np.isnan(group.read([column], 0, 1)).all()
-    ]
-
-
-def _even_column(file: ForeignFile) -> ForeignChannel | None:
-    """The first of columns without names that holds even times, but no numbers of rows."""
-    group = file.groups[0]
-    if group.rate is not None or group.unusable or group.names[0] != UNNAMED:
-        return None
-    for column in range(min(2, len(group.channels))):
-        axis = _axis(group, column)
-        if axis is None:
-            return None
-        if axis.rate != 1.0 or axis.start not in (0.0, 1.0):
-            return group.channels[column]
-    return None
-
-
-def _axis(group: ChannelGroup, column: int) -> TimeAxis | None:
-    """The even times at the beginning of a column, None where they are not."""
-    try:
-        return read_time_axis(lambda _, first, last: group.read([column], first, last), min(group.samples, TIMES_READ))
-    except UserError:
-        return None
 
 
 def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time: ForeignChannel | None) -> None:
@@ -202,8 +133,8 @@ def _stated_rate(file: ForeignFile) -> float | None:
 def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
     """The unit of the times, to be completed where the file states none and their steps are not those of seconds."""
     group = next(group for group in file.groups if any(channel is time for channel in group.channels))
-    axis = _axis(group, next(k for k, channel in enumerate(group.channels) if channel is time))
-    unit, stated = _unit_of(time.unit, TIME), _stated_rate(file)
+    axis = time_axis(group, next(k for k, channel in enumerate(group.channels) if channel is time))
+    unit, stated = unit_of(time.unit, TIME), _stated_rate(file)
     rate = None if axis is None else axis.rate / (unit.factor if unit else 1.0)
     agrees = rate is not None and stated is not None and abs(rate / stated - 1.0) < RATE_TOLERANCE
     if unit is None and agrees:
@@ -222,7 +153,7 @@ def _channel_lines(channels: Sequence[ForeignChannel], geometry: Geometry | None
         match = _nearest(channel.name, free)
         if match:
             free.remove(match)
-        is_voltage = not channel.unit or bool(_unit_of(channel.unit, "V"))
+        is_voltage = not channel.unit or bool(unit_of(channel.unit, "V"))
         entry = [f"name: {_quoted(match or ('TODO' if geometry is not None else channel.name))}"]
         entry += [f"unit: {_quoted(channel.unit or UNFINISHED)}"] + ([] if is_voltage else ["scale: TODO"])
         comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
@@ -245,7 +176,7 @@ def _guess_loads(channels: Sequence[ForeignChannel]) -> tuple[list[tuple[Foreign
     for channel in channels:
         words = re.split(r"[^A-Za-z]+", channel.name)
         component = next((name for name in COMPONENTS if name.lower() in [word.lower() for word in words]), None)
-        unit = _unit_of(channel.unit, FORCE, MOMENT)
+        unit = unit_of(channel.unit, FORCE, MOMENT)
         if component and (unit or not channel.unit) and component not in [name for _, name in loads]:
             loads.append((channel, component))
         else:
@@ -295,10 +226,3 @@ def _kind(path: Path) -> str | None:
     return next(
         (kind for kind, words in KIND_NAMES.items() if re.search(rf"(?<![a-z])({'|'.join(words)})", stem)), None
     )
-
-
-def _unit_of(text: str, *dimensions: str) -> Unit | None:
-    try:
-        return parse_unit(text, *dimensions) if text else None
-    except UserError:
-        return None

@@ -1,0 +1,88 @@
+"""Times among the channels of a file of another program, for the sketch of a map."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from balance_cli.importers.base import ChannelGroup, ForeignChannel, ForeignFile
+from balance_cli.importers.time_axis import TimeAxis, read_time_axis
+from balance_cli.importers.time_columns import TIME_NAME
+from balance_cli.io.errors import UserError
+from balance_cli.io.units import TIME, Unit, parse_unit
+
+TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
+UNNAMED = "column 1"
+"""First column of a text without names."""
+TIMES_READ = 4096
+"""Samples of a column of times from which its step is told."""
+
+
+def _last_name(channel: ForeignChannel) -> str:
+    """The name in lower case, without those of the structures that hold it, numbers and unit."""
+    return re.sub(r"\[\d+\]$", "", channel.name.lower()).rpartition(".")[2]
+
+
+def time_channel(file: ForeignFile) -> ForeignChannel | None:
+    """Return the first channel with the name of a time, and with a value."""
+    for group in file.groups:
+        for column, channel in enumerate(group.channels):
+            is_time = not group.unusable and _names_time(channel, column)
+            if is_time and group.samples and np.isfinite(group.read([column], 0, 1)).all():
+                return channel
+    return None
+
+
+def _names_time(channel: ForeignChannel, column: int) -> bool:
+    """Whether a channel has the name of a time, or two of: a name that begins so, a unit of time, the first column.
+
+    Oscilloscopes call their times `X`, in `Second`.
+    """
+    if _last_name(channel) in TIME_NAMES:
+        return True
+    has_unit = bool(unit_of(channel.unit, TIME))
+    if column == 0 and has_unit:
+        return True
+    return bool(TIME_NAME.match(channel.name)) and (has_unit or (not channel.unit and column == 0))
+
+
+def empty_times(file: ForeignFile) -> list[ForeignChannel]:
+    """Return the channels with the name of a time and without a value: LabVIEW writes an empty `X_Value`."""
+    return [
+        channel
+        for group in file.groups
+        for column, channel in enumerate(group.channels)
+        if _last_name(channel) in TIME_NAMES and not group.unusable and group.samples
+        if np.isnan(group.read([column], 0, 1)).all()
+    ]
+
+
+def even_column(file: ForeignFile) -> ForeignChannel | None:
+    """Return the first of columns without names that holds even times, but no numbers of rows."""
+    group = file.groups[0]
+    if group.rate is not None or group.unusable or group.names[0] != UNNAMED:
+        return None
+    for column in range(min(2, len(group.channels))):
+        axis = time_axis(group, column)
+        if axis is None:
+            return None
+        if axis.rate != 1.0 or axis.start not in (0.0, 1.0):
+            return group.channels[column]
+    return None
+
+
+def time_axis(group: ChannelGroup, column: int) -> TimeAxis | None:
+    """Return the even times at the beginning of a column, None where they are not."""
+    try:
+        return read_time_axis(lambda _, first, last: group.read([column], first, last), min(group.samples, TIMES_READ))
+    except UserError:
+        return None
+
+
+def unit_of(text: str, *dimensions: str) -> Unit | None:
+    """Return the unit of one of the dimensions that a text names; None where it names none."""
+    try:
+        return parse_unit(text, *dimensions) if text else None
+    except UserError:
+        return None
