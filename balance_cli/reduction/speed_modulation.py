@@ -31,8 +31,8 @@ LEAST_LINE = 1e-7
 1e-6 of their signal in noise, the sum of the lines left out is below that."""
 
 
-SPEED_MEMORY = 3.0
-"""Time constants over which the past rotor speed affects a harmonic: exp(-3) is 5 %."""
+SPEED_MEMORY = 6.0
+"""Time constants over which the past rotor speed affects a harmonic: exp(-6) is 0.2 % of what a change makes."""
 
 
 @dataclass(frozen=True)

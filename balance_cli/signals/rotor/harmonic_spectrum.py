@@ -75,7 +75,7 @@ def harmonic_lines(
 class CarrierEnvelopes:
     """Signals exp(j n psi) = envelope exp(2 pi j f t) at `time` (t,) [s]: `envelopes` (k, t), `frequency` f (k,) [Hz].
 
-    They fade out beyond the pulses. `weight` (t,) is that of the regression, `grid` (t,) the frequencies [Hz] of the
+    They are periodic. `weight` (t,) is that of the regression, `grid` (t,) the frequencies [Hz] of the
     discrete spectrum of an envelope.
     """
 
@@ -89,19 +89,49 @@ class CarrierEnvelopes:
 def carrier_envelopes(
     azimuth: Azimuth, spectra: Harmonics, orders: Sequence[int], decay_time: float
 ) -> CarrierEnvelopes:
-    """Return the carriers of harmonics, shifted to zero frequency, over the record and `decay_time` [s] beyond it."""
+    """Return the carriers of harmonics, shifted to zero frequency, over the record and `decay_time` [s] beyond it.
+
+    From there on the speed returns from that at the last pulse to that at the first one within as long again on either
+    side, so that the envelopes are periodic: at constant speed they are one, and the harmonic is a single line. An
+    envelope that fades out would be a load that is switched on, to which a light mode responds for longer.
+    """
+    from scipy.fft import next_fast_len
+
     decay_time = min(decay_time, azimuth.last - azimuth.first)
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
     start, stop = azimuth.first - 2 * decay_time, azimuth.last + 2 * decay_time
-    time = np.arange(start, stop, 1.0 / rate)
-    turns, taper = azimuth.extrapolated_count(time), _end_taper(time, azimuth, decay_time)
+    time = start + np.arange(next_fast_len(int((stop - start) * rate) + 2)) / rate
+    # The carrier of harmonic n is n times the mean rate, so that all harmonics are powers of one signal.
+    carrier = float(spectra.frequency_hz[1])
+    turns = azimuth.extrapolated_count(time)
     inside = (time >= spectra.interval[0]) & (time <= spectra.interval[1])
     weight = np.where(inside, edge_weight(turns, *spectra.revolutions), 0.0)
     grid = np.asarray(np.fft.fftfreq(len(time), 1.0 / rate), float)
-    # The carrier of harmonic n is n times the mean rate, so that all harmonics are powers of one signal.
-    carrier = float(spectra.frequency_hz[1])
-    powers = unit_powers(2.0 * np.pi * (turns - carrier * time), max(orders))
-    return CarrierEnvelopes(time, carrier * np.array(orders, float), powers[list(orders)] * taper, weight, grid)
+    lead = _periodic_lead(turns - carrier * time, time, azimuth, decay_time)
+    powers = unit_powers(2.0 * np.pi * lead, max(orders))
+    return CarrierEnvelopes(time, carrier * np.array(orders, float), powers[list(orders)], weight, grid)
+
+
+def _periodic_lead(lead: Array, time: Array, azimuth: Azimuth, decay_time: float) -> Array:
+    """Return the lead (t,) [revolutions] of a rotor over a constant speed, made periodic far from its pulses.
+
+    More than `decay_time` from the pulses it is the cubic that continues value and slope on either side, by whole
+    revolutions, which no harmonic shows.
+    """
+    kept = np.flatnonzero((time >= azimuth.first - decay_time) & (time <= azimuth.last + decay_time))
+    first, last = int(kept[0]), int(kept[-1])
+    if first == 0 or last - first < 2:
+        return lead
+    gap = len(time) - (last - first)
+    slopes = np.array([lead[last] - lead[last - 1], lead[first + 1] - lead[first]]) * gap
+    rise = lead[first] - lead[last]
+    rise -= np.round(rise - slopes.mean())
+    u = np.arange(1, gap) / gap
+    bridge = lead[last] + u * (slopes[0] + u * (3.0 * rise - 2.0 * slopes[0] - slopes[1]))
+    bridge += u**3 * (slopes.sum() - 2.0 * rise)
+    periodic = lead.copy()
+    periodic[np.arange(last + 1, last + gap) % len(time)] = bridge
+    return periodic
 
 
 def _lines(S: ComplexArray, frequencies: Array) -> HarmonicLines:
@@ -111,9 +141,3 @@ def _lines(S: ComplexArray, frequencies: Array) -> HarmonicLines:
     frequency = frequencies[significant]
     order = np.argsort(frequency)
     return HarmonicLines(frequency[order], (S[significant] / S[significant].sum())[order])
-
-
-def _end_taper(time: Array, azimuth: Azimuth, decay_time: float) -> Array:
-    """One up to `decay_time` outside the pulses, then a cosine down to zero, to avoid leakage from the ends."""
-    excess = np.maximum(np.maximum(azimuth.first - time, time - azimuth.last) / decay_time - 1.0, 0.0)
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(excess, 0.0, 1.0)))

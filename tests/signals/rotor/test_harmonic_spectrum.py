@@ -1,9 +1,13 @@
 """Lines of a harmonic of a rotor whose speed varies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import signal
 
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonic_spectrum import HarmonicLines, harmonic_lines
 from balance_cli.signals.rotor.harmonics import Harmonics
 
@@ -15,6 +19,37 @@ def test_a_mode_without_damping_is_remembered_for_the_length_of_the_record():
     endless, long = (harmonic_lines(azimuth, spectra, (1,), decay)[0] for decay in (np.inf, 10.0))
     np.testing.assert_array_equal(endless.frequency, long.frequency)
     assert endless.weight.sum() == pytest.approx(1.0)
+
+
+def test_at_constant_speed_a_harmonic_on_a_light_mode_is_exact_in_ten_revolutions():
+    """The mode rings for longer than the record; a load that faded out would leave several percent of its transient."""
+    azimuth = azimuth_from_pulses(0.3 + np.arange(11) / 17.0)
+    spectra = _spectra(17.0, (0, 10), 2)
+    lines = harmonic_lines(azimuth, spectra, (2,), decay_time=1.5)[0]
+    average = lines.weight @ _resonance(lines.frequency / 34.1, 0.01)
+    assert abs(average / _resonance(34.0 / 34.1, 0.01) - 1.0) < 1e-9
+
+
+def test_where_the_speed_changes_the_response_is_that_of_the_equation_of_motion():
+    """A mode that a harmonic passes, integrated in time; the past before the pulses is at their first speed."""
+    speed, rate, mode, damping_ratio = 17.0, 8000.0, 34.1, 0.01
+    time = np.arange(int(12.0 * rate)) / rate - 4.0
+    turns = speed * time + 0.05 * np.where(time > 0.0, time, 0.0) ** 3 / 3.0
+    pulses = np.interp(np.arange(int(turns[-1]) + 1), turns, time)
+    azimuth = azimuth_from_pulses(pulses)
+    last = azimuth.turns
+    w, mean = 2.0 * np.pi * mode, azimuth.mean_rate
+    warped = 2.0 * rate * np.tan(w / (2.0 * rate))  # the bilinear transform lowers frequencies
+    bilinear = signal.bilinear([warped**2], [1.0, 2.0 * damping_ratio * warped, warped**2], rate)
+    load = np.exp(4j * np.pi * turns)
+    driven = signal.lfilter(*bilinear, load)
+    psi = azimuth.psi(time)
+    used = np.isfinite(psi)
+    weight = edge_weight(psi[used] / (2.0 * np.pi), 0, last)
+    measured = np.sum(weight * driven[used] * load[used].conj()) / weight.sum()
+    spectra = replace(_spectra(mean, (0, last), 2), interval=(azimuth.first, azimuth.last))
+    lines = harmonic_lines(azimuth, spectra, (2,), decay_time=6.0 / (damping_ratio * w))[0]
+    assert abs(lines.weight @ _resonance(lines.frequency / mode, damping_ratio) / measured - 1.0) < 1e-3
 
 
 @pytest.mark.parametrize("first", [20, 69], ids=["long", "short"])
