@@ -219,6 +219,8 @@ class SelectionSettings:
     """Alternatives of an effect that are refitted."""
     alternative_score_deficit: float = 8.0
     """As `refit_score_deficit`, for alternatives of a weak effect, whose loss a refit has measured."""
+    max_causes: int = 4
+    """Causes that a rig may have at once: more are less likely than one that no effect of the library describes."""
     max_replaced: int = 6
     """Effects that alternatives may replace: two that replace each other in turn must end."""
     invisible_chi2: float = 1e-3

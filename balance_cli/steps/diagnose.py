@@ -14,6 +14,7 @@ from balance_cli.diagnosis.conclusions import (
     describe_added_effects,
     diagnosis_notes,
     judge_drifts,
+    judge_number_of_causes,
 )
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
@@ -83,6 +84,7 @@ def diagnose(
     drift = share_with_contacts(zeros.drift, fit.model.system(fit.theta), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
+    diagnosis = judge_number_of_causes(diagnosis)
     announce("done")
     return diagnosis, updated
 

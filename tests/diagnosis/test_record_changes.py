@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.diagnosis.conclusions import judge_drifts
+from balance_cli.diagnosis.conclusions import judge_drifts, judge_number_of_causes
 from balance_cli.diagnosis.data_tests.channel_drifts import channel_drift_tests
 from balance_cli.diagnosis.data_tests.record_changes import record_tests
-from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, RECORD_CHANGE_TEST, ModelFreeTest
+from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, RECORD_CHANGE_TEST, UNEXPLAINED, ModelFreeTest
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
@@ -135,3 +135,18 @@ def test_an_effect_that_is_the_average_of_a_drift_is_not_explained():
     elsewhere = judge_drifts(replace(explained, effects=(replace(delay_effect(), where=("z2.piezo",)),)))
     assert elsewhere.verdict == EXPLAINED
     assert elsewhere.notes[-1] == "z1.strain, z1.piezo: drifts within the records"
+
+
+def test_more_causes_than_a_rig_has_at_once_are_no_explanation():
+    """Zeros of channels and one fault of all exciters count little; what acts in four cells or channels is four."""
+    late = [replace(delay_effect(), where=(name,)) for name in ("x.piezo", "y1.piezo", "y2.piezo", "z1.piezo")]
+    masses = [replace(delay_effect(), name="exciter-mass", where=(name,)) for name in ("Fx", "Fy", "Mz")]
+    zero = replace(delay_effect(), name="channel-offset", where=("x.strain",))
+    idle = replace(delay_effect(), name="low-pass", worth={"Fx": 1e-3})
+    four = replace(diagnosis(EXPLAINED), effects=(*late, zero, idle))
+    assert judge_number_of_causes(four) is four
+    five = judge_number_of_causes(replace(four, effects=(*late, zero, idle, *masses)))
+    assert five.verdict == PARTLY_EXPLAINED
+    assert five.notes[-1].startswith("5 causes at once")
+    unexplained = replace(five, verdict=UNEXPLAINED)
+    assert judge_number_of_causes(unexplained) is unexplained
