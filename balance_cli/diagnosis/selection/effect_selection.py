@@ -16,7 +16,7 @@ from balance_cli.diagnosis.selection.effect_statistics import (
     shape_parameter_count,
     wald_statistic,
 )
-from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, unexplained_chi2
+from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, fit_contenders, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
 from balance_cli.diagnosis.settings import FitSettings, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
@@ -269,8 +269,8 @@ def drop_unsupported_effects(
         ]
         if weak and announce(f"support of {len(weak)} effects"):
             break
-        refits = [(effect, refit_without_effect(fit, effect, batches, settings.fit)) for effect in weak]
-        effect, reduced = min(refits, key=lambda item: item[1].chi2, default=(None, fit))
+        refits = _refit_without_each(fit, weak, batches, fit.chi2 + threshold, settings.fit)
+        effect, reduced = min(zip(weak, refits, strict=True), key=lambda item: item[1].chi2, default=(None, fit))
         gain = reduced.chi2 - fit.chi2
         if effect is None or gain >= threshold:
             break
@@ -278,3 +278,19 @@ def drop_unsupported_effects(
         trials.append(_removal_trial(number, effect, parameters, gain, REASON_NOT_SUPPORTED))
         fit = reduced
     return fit, tuple(trials)
+
+
+def _refit_without_each(
+    fit: Fit, effects: Sequence[PlacedEffect], batches: Sequence[Batch], limit: float, settings: FitSettings
+) -> list[Fit]:
+    """The refits without each of the effects; those that stay above `limit` or the best one are not finished."""
+    known = {effect.label: fit.reduced.get(effect.label) for effect in effects}
+    refits = {label: item.fit for label, item in known.items() if item is not None and item.is_of(batches, settings)}
+    others = [effect for effect in effects if effect.label not in refits]
+    starts = [extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect)) for effect in others]
+    limit = min([limit, *(item.chi2 for item in refits.values())])
+    for effect, refit in zip(others, fit_contenders(starts, batches, limit, 0.0, settings), strict=True):
+        refits[effect.label] = refit
+        if refit.minimum.converged:
+            fit.reduced[effect.label] = ReducedFit(refit, tuple(batches), settings)
+    return [refits[effect.label] for effect in effects]
