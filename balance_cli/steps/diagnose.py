@@ -66,8 +66,7 @@ def diagnose(
     if exclusion is not None:
         trials = (*update.trials, *exclusion.update.trials)
         spectra, batches, update = exclusion.spectra, exclusion.batches, replace(exclusion.update, trials=trials)
-    fit = update.fit
-    after = (fit.model, fit.theta)
+    fit, after = update.fit, (update.fit.model, update.fit.theta)
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
     updated = replace(updated, band=model.band)
     same_effects = effect_labels(fit.model) == effect_labels(before[0])
