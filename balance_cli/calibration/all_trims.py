@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.check_loads import CheckLoads, CheckModels, evaluate_check_loads, evaluate_check_points
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, refit_terms
+from balance_cli.calibration.load_directions import check_load_directions
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
 from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
@@ -133,11 +134,12 @@ def calibrate_all_trims(
     terms that the model may have. `repeat_scatter` (c, c) [V2]: what the covariance of one reading
     exceeds that of a row by, where rows are means of repeated ones.
 
-    Raises least_squares.CollinearError where a load was never applied without the others.
+    Raises CollinearError where a load was never applied without the others, UserError where its rows contradict each other.
     """
     points = scheduled = replace(_with_check_points(points, check_points), declared_response=declared)
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model, used = screened.fit, screened.fit.model, _fitted_rows(screened.fit)
+    check_load_directions(replace(points, weight=scheduled.weight, series=points.load_series), used)
     by = _fit_for_loads(total, fit, choice)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
     untested = find_untested_products(by.model, total.loads[used], points.channels[used], points.load_series[used])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
+from balance_cli.calibration.series_causes import factor_words
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.io.errors import UserError
 
@@ -35,12 +36,16 @@ class LoadSeriesRows:
 
 def contradicts(points: CalibrationPoints, rows: NDArray[np.bool_]) -> bool:
     """Whether the loads of some rows (m,) have another sign or size than a linear fit of the other rows tells."""
+    return not PLAUSIBLE_FACTORS[0] <= _factor_by_others(points, rows) <= PLAUSIBLE_FACTORS[1]
+
+
+def _factor_by_others(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
+    """How many times the stated loads of some rows (m,) are what a linear fit of the other rows tells of them."""
     scale = _channel_scale(points)
     model = fit_calibration_model(points.exclude_rows(rows), LINEAR_TERMS).model
     predicted = _centered(model.readings(points.loads[rows])) / scale
     power = float(np.sum(predicted**2))
-    factor = float(np.sum(predicted * _centered(points.channels[rows]) / scale)) / power if power > 0.0 else 1.0
-    return not PLAUSIBLE_FACTORS[0] <= factor <= PLAUSIBLE_FACTORS[1]
+    return float(np.sum(predicted * _centered(points.channels[rows]) / scale)) / power if power > 0.0 else 1.0
 
 
 def decide_by_declared(points: CalibrationPoints, rivals: Sequence[LoadSeriesRows]) -> int | None:
@@ -59,8 +64,10 @@ def undecided_error(points: CalibrationPoints, rivals: Sequence[LoadSeriesRows])
     names = " and ".join(each.words for each in rivals)
     loaded = np.any([np.ptp(points.x[each.rows], axis=0) > 0.0 for each in rivals], axis=0)
     loads = ", ".join(name for name, is_loaded in zip(points.components, loaded, strict=True) if is_loaded)
+    words = factor_words(_factor_by_others(points, rivals[-1].rows))
     return UserError(
-        f"contradict each other in the sign or the size of {loads}, and no other load series shows which is wrong",
+        f"contradict each other in the sign or the size of {loads}, and no other load series shows which is wrong. Of "
+        f"the latter {words}, or the reverse",
         names,
         remedy="Correct the loads or the readings of the wrong one, leave it out, or declare the mechanics of the rig",
     )

@@ -22,6 +22,8 @@ MAX_LEFT_SHARE = 0.15
 """Share of the error of a load series that an explanation may leave, as amplitude, as of a row."""
 SAME_FACTOR = 0.02
 """Relative difference of two factors that count as equal: the nearest two of the table are 4 % apart or more."""
+NEAR_FACTOR = 0.1
+"""The same for a factor that nonlinearity may have shifted: it is named beside the number."""
 MIN_OTHER_LOAD = 0.02
 """Share of the calibrated range by which two columns of loads must differ to be exchanged."""
 
@@ -78,7 +80,7 @@ def _other_loads(model: CalibrationModel, loads: Array, change: Array, sigma: Ar
     power = float(np.sum(predicted**2))
     if power > 0:
         factor = float(np.sum(predicted * change / sigma)) / power
-        yield factor * loads, _factor_words(factor)
+        yield factor * loads, factor_words(factor)
     for i, j in combinations(range(loads.shape[1]), 2):
         if np.max(np.abs(loads[:, i] - loads[:, j])) > MIN_OTHER_LOAD * max(model.calibrated_range[[i, j]]):
             other = loads.copy()
@@ -86,10 +88,14 @@ def _other_loads(model: CalibrationModel, loads: Array, change: Array, sigma: Ar
             yield other, f"its loads {model.components[i]} and {model.components[j]} seem to be exchanged"
 
 
-def _factor_words(factor: float) -> str:
+def factor_words(factor: float) -> str:
+    """What loads are whose true values are the stated ones times a factor."""
     for known, words in UNIT_FACTORS.items():
         if abs(factor / known - 1.0) < SAME_FACTOR:
             return f"its loads seem to be {words}, unlike those of the other series"
         if abs(factor * known - 1.0) < SAME_FACTOR and known != -1.0:
             return f"the loads of the other series seem to be {words}, unlike its own"
-    return f"its loads seem to be {factor:.3g} times as large as stated"
+    near = {words: abs(np.log(factor / known)) for known, words in UNIT_FACTORS.items() if factor / known > 0.0}
+    nearest = min(near, key=lambda words: near[words], default="")
+    about = f", about as if {nearest}" if nearest and near[nearest] < NEAR_FACTOR else ""
+    return f"its loads seem to be {factor:.3g} times as large as stated{about}"
