@@ -21,11 +21,11 @@ from balance_cli.calibration.random_terms import fit_random_terms
 from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.suspect_series import SuspectLoadSeries
 from balance_cli.calibration.swapped_channels import find_swapped_channels
-from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
+from balance_cli.calibration.tares import Tares, screen_outliers_with_tares, undetermined_weight_notes
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.untested_products import UntestedProducts, find_untested_products
 from balance_cli.campaign.recording.run import Run, read_channels
-from balance_cli.campaign.rig.attitude import gravity_directions, is_one_direction
+from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
 
 Array = NDArray[np.float64]
@@ -134,16 +134,15 @@ def calibrate_all_trims(
     terms that the model may have. `repeat_scatter` (c, c) [V2]: what the covariance of one reading
     exceeds that of a row by, where rows are means of repeated ones.
 
-    Raises CollinearError where a load was never applied without the others, UserError where its rows contradict each other.
+    Raises CollinearError where a load was never applied without the others, UserError where rows contradict each other.
     """
     points = scheduled = replace(_with_check_points(points, check_points), declared_response=declared)
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
+    check_load_directions(points, scheduled.weight > 0, _fitted_rows(screened.fit))
     fit, model, used = screened.fit, screened.fit.model, _fitted_rows(screened.fit)
-    check_load_directions(replace(points, weight=scheduled.weight, series=points.load_series), used)
     by = _fit_for_loads(total, fit, choice)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
-    untested = find_untested_products(by.model, total.loads[used], points.channels[used], points.load_series[used])
-    models = CheckModels(by.model, _estimate_noise(points, by, used, repeat_scatter), direct, untested)
+    models = _check_models(points, total, by, used, direct, repeat_scatter)
     held_out = _held_out_checks(models, checks, tares, check_gravity or {})
     return AllTrimsCalibration(
         model=model,
@@ -167,6 +166,20 @@ def calibrate_all_trims(
         term_choice=choice,
         random_terms=None if by is fit else by.model,
     )
+
+
+def _check_models(
+    points: CalibrationPoints,
+    total: CalibrationPoints,
+    fit: CalibrationModelFit,
+    used: NDArray[np.bool_],
+    direct: NonIterativeModel | None,
+    repeat_scatter: Array | None,
+) -> CheckModels:
+    """The models that compute loads, with the noise of a reading and what the rows could not show."""
+    model = fit.model
+    untested = find_untested_products(model, total.loads[used], points.channels[used], points.load_series[used])
+    return CheckModels(model, _estimate_noise(points, fit, used, repeat_scatter), direct, untested)
 
 
 def _with_check_points(points: CalibrationPoints, is_check: NDArray[np.bool_] | None) -> CalibrationPoints:
@@ -200,7 +213,7 @@ def _held_out_checks(
 def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Tares | None) -> tuple[str, ...]:
     alarms = unpredicted_series(points, screened.fit)
     own_products = own_product_notes(points, screened.fit)
-    return (*screened.screening_notes, *alarms, *own_products, *_undetermined_weight(points, tares))
+    return (*screened.screening_notes, *alarms, *own_products, *undetermined_weight_notes(points, tares))
 
 
 def _estimate_noise(
@@ -255,19 +268,6 @@ def _check_points_by_run(
 def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | None) -> Array | None:
     """Loads (m, k) of the weight of the metric part; None where it or the attitude is not known."""
     return None if tares is None or gravity is None else tares.loads(gravity, model.components)
-
-
-def _undetermined_weight(points: CalibrationPoints, tares: Tares | None) -> Iterator[str]:
-    """Notes on why the weight of the metric part is not determined although runs state their attitude."""
-    if points.gravity is None or tares is not None:
-        return
-    silent = np.unique(points.run[~np.isfinite(points.gravity).all(axis=1)])
-    for run in silent:
-        name = points.run_names[run]
-        yield f"run {name} does not state its attitude: the weight of the metric part cannot be determined"
-    if not len(silent) and not is_one_direction(points.gravity):
-        why = "needs load series in three attitudes out of line, with hub loads as components"
-        yield f"the weight of the metric part is not determined: it {why}; every attitude has a zero of its own"
 
 
 def fit_drift(zeros: Array, covariance: Array) -> Drift:

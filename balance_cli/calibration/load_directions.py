@@ -50,13 +50,14 @@ class _Direction:
     response: Array
 
 
-def check_load_directions(points: CalibrationPoints, used: Mask) -> None:
-    """Raise UserError for loads whose fitted rows (m,) contradict each other in sign or by more than a factor of two.
+def check_load_directions(points: CalibrationPoints, given: Mask, used: Mask) -> None:
+    """Raise UserError for loads that contradict each other in sign or by more than a factor of two.
 
-    The same for a load series that was excluded where one other direction of its load contradicts it, and none decides:
-    the sound one may have been excluded.
+    `used` (m,): the rows that were fitted; `given` (m,): these, and those that were excluded. A load series that was
+    excluded is compared, too, where one other direction of its load contradicts it, and none decides: the sound one may
+    have been excluded.
     """
-    out = (points.weight > 0) & ~used
+    out = given & ~used
     fitted = np.isin(points.load_series, points.load_series[used])
     series, number = np.unique(points.load_series[out & fitted], return_counts=True)
     # Where so many rows of one series are outliers, the series is wrong, and the rest of it was fitted.

@@ -15,6 +15,7 @@ w converges; the zeros of each new fit determine a correction of w.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from scipy import linalg
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
 from balance_cli.calibration.outliers import ScreenedFit, screen_outliers
 from balance_cli.calibration.term_choice import TermChoice
-from balance_cli.campaign.rig.attitude import ATTITUDE_TOLERANCE
+from balance_cli.campaign.rig.attitude import ATTITUDE_TOLERANCE, is_one_direction
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals import distributions as stats
 
@@ -250,3 +251,16 @@ def _tares_from_solution(
         chi2_per_dof=ratio,
         series_count=series_count,
     )
+
+
+def undetermined_weight_notes(points: CalibrationPoints, tares: Tares | None) -> Iterator[str]:
+    """Notes on why the weight of the metric part is not determined although runs state their attitude."""
+    if points.gravity is None or tares is not None:
+        return
+    silent = np.unique(points.run[~np.isfinite(points.gravity).all(axis=1)])
+    for run in silent:
+        name = points.run_names[run]
+        yield f"run {name} does not state its attitude: the weight of the metric part cannot be determined"
+    if not len(silent) and not is_one_direction(points.gravity):
+        why = "needs load series in three attitudes out of line, with hub loads as components"
+        yield f"the weight of the metric part is not determined: it {why}; every attitude has a zero of its own"

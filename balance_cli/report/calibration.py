@@ -66,9 +66,18 @@ def _calibration_blocks(source: Source[Calibration]) -> Iterator[PageBlock]:
     yield residual_table(source.content)
     if any(np.isfinite(trim.hysteresis.loads).any() for trim in trims.values()):
         yield hysteresis_table(source.content)
+    if _is_linear_matrix(source.content):
+        # C0 would be a pseudo-inverse that nobody measured.
+        yield from (inverse_table(trim) for trim in trims.values())
+        return
     for trim in trims.values():
         yield matrix_table(trim, reading_scale(source.content.geometry, trim.channel_names))
     yield Details("T0: loads from channels", tuple(inverse_table(trim) for trim in trims.values()))
+
+
+def _is_linear_matrix(calibration: Calibration) -> bool:
+    """Whether the calibration was read from a matrix of loads from readings, T0, which states no noise."""
+    return all(trim.rows == 0 and np.isnan(trim.residual_covariance).all() for trim in calibration.trims.values())
 
 
 def _unit_notes(calibration: Calibration) -> Iterator[PageBlock]:
@@ -160,7 +169,8 @@ def matrix_table(trim: TrimCalibration, scale: ReadingScale) -> Table:
 
 def inverse_table(trim: TrimCalibration) -> Table:
     """T0 of a trim with standard errors."""
-    caption = f"T0 of trim {trim.trim} [N/V, N m/V] with standard errors."
+    errors = " with standard errors" if np.isfinite(trim.T0_sigma).any() else ", as it was read"
+    caption = f"T0 of trim {trim.trim} [N/V, N m/V]{errors}."
     return _coefficient_table(caption, trim.components, trim.channel_names, trim.T0, trim.T0_sigma)
 
 

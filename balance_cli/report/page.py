@@ -72,8 +72,7 @@ class Page:
 def build_page(sources: Sources) -> Page:
     """Build the whole page; a section without content is left out."""
     made_sections = tuple(build_sections(sources))
-    rig = summary.rig_title(sources)
-    title = f"Rotor balance {rig}" if rig else "Rotor balance"
+    title = summary.page_title(sources)
     shown = _pictures_of(made_sections)
     names = tuple(picture.name for picture in shown)
     html = render_page(title, made_sections)

@@ -48,6 +48,14 @@ def rig_title(sources: Sources) -> str:
     return join_names(list(dict.fromkeys([*(geometry.rig for geometry in sources.geometries), *planned])))
 
 
+def page_title(sources: Sources) -> str:
+    """Title of the page: a rotor balance, or whatever was calibrated where the inputs know no more than its loads."""
+    rig = rig_title(sources)
+    has_mechanics = any(geometry.bodies for geometry in sources.geometries)
+    kind = "Rotor balance" if has_mechanics or not sources.calibrations else "Static calibration"
+    return f"{kind} {rig}" if rig else kind
+
+
 def _several_rigs(sources: Sources) -> Iterator[PageBlock]:
     rigs = list(dict.fromkeys(geometry.rig for geometry in sources.geometries))
     if len(rigs) > 1:
