@@ -20,6 +20,8 @@ MAX_SCALED_SQUARE = 25.0
 """Squared error over its robust variance at which it is clipped (5 sigma), so that an outlier does not decide."""
 MIN_LEFT_SHARE = 0.1
 """Floor of 1 - leverage, so that a row that alone determines a zero does not decide."""
+MIN_DOF = 4
+"""Degrees of freedom that rows must leave by which readings are compared: those of two zeros and two rows more."""
 ROWS_PER_COLUMN = 3
 """Rows for each column of the model by which readings are compared: with fewer it has the loads alone."""
 
@@ -54,7 +56,11 @@ class ReadingScore:
         # errors is not enough. A tare point bends none, and the readings differ by its place.
         loaded = ~_at_tare(rows.x, rows.segment)[regular]
         fit = _best_robust_fit(rows.x[regular], rows.channels[regular], [series[regular] for series in readings])
-        self._rows = regular[~(fit.deviates & loaded)]
+        zeros = max(len(np.unique(series[regular])) for series in readings)
+        kept = ~(fit.deviates & loaded)
+        # Where hardly more rows would be left than a fit has parameters, any reading would fit them.
+        is_enough = np.count_nonzero(kept) >= rows.x.shape[1] + zeros + MIN_DOF
+        self._rows = regular[kept] if is_enough else regular
         self._x, self._channels = rows.x[self._rows], rows.channels[self._rows]
         # That of the reading that fits best: others would hide the errors by which they are to be judged.
         self._scale = np.min([self._robust_scale(series) for series in readings], axis=0)
