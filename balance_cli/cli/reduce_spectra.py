@@ -12,6 +12,7 @@ from balance_cli.cli.common import Session
 from balance_cli.cli.load_text import number_pair
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import SPECTRA_FORMAT
+from balance_cli.io.result_view import plural
 from balance_cli.io.spreadsheet import text_cell
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def _run_summary(run: RunSpectra) -> dict[str, Any]:
 def spectra_text(spectra: LoadSpectra) -> Iterator[str]:
     """Yield the rms of each load within the band, with sigma, and whether to trust it."""
     low, high = spectra.band
-    yield f"{len(spectra.runs)} runs reduced to spectra from {low:g} to {high:g} Hz, {spectra.response}"
+    yield f"{plural(len(spectra.runs), 'run')} reduced to spectra from {low:g} to {high:g} Hz, {spectra.response}"
     for name, run in spectra.runs.items():
         yield f"{name}: bandwidth {run.resolution_hz:.3g} Hz, {run.averages:.0f} averages"
         if run.load_error is not None:

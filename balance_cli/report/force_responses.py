@@ -102,18 +102,23 @@ def sensors(
 ) -> tuple[Sensor, ...]:
     """All sensors that the figures show.
 
-    Every cell by the channel with the least noise relative to its sensitivity, the torque meters, and the resultants
-    that a model in the paper's form uses.
+    Every cell by the channel with the least noise relative to its sensitivity, the torque meters, sums of cells by the
+    name of their channel, and the resultants that a model in the paper's form uses. Accelerations of a rig without any
+    of them.
     """
     present = {name for response in responses for name in response.channel_names}
-    torque_meters = dict.fromkeys(channel.source for channel in geometry.channels if channel.torque_meter)
+    measured = [channel for channel in geometry.channels if channel.name in present]
+    order = [f"cell {name}" for name in geometry.cell_names]
+    order += [channel.source for channel in measured if channel.torque_meter or channel.cells]
     shown = {}
-    for name in (*geometry.cell_names, *torque_meters):
-        source = name if name in torque_meters else f"cell {name}"
-        channels = [channel for channel in geometry.channels if channel.source == source and channel.name in present]
+    for source in dict.fromkeys(order):
+        channels = [channel for channel in measured if channel.source == source]
         if channels:
             best = min(channels, key=lambda channel: median_force_noise(channel, responses))
+            name = best.cell or (source if best.torque_meter else best.name)
             shown[name] = Sensor(name, {best.name: 1.0})
+    if not shown:
+        return tuple(Sensor(channel.name, {channel.name: 1.0}) for channel in measured)
     return (*shown.values(), *_resultants(shown, models))
 
 

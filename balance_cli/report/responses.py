@@ -117,8 +117,9 @@ def _introduction(compared: Sequence[Comparison]) -> str:
     runs = join_names([comparison.measured.run for comparison in compared])
     channels = ", ".join(f"{sensor.name} by {' + '.join(sensor.channels)}" for sensor in compared[0].shown_sensors)
     return (
-        f"Force in each cell per unit of hub load, from the runs of the highest level: {runs}. Each cell is shown by "
-        f"the channel with the least noise, divided by its declared sensitivity and dynamics ({channels}). Residual: "
+        "Force in each cell, or in a sum of cells that a channel reads, per unit of hub load, from the runs of the "
+        f"highest level: {runs}. Each is shown by the channel with the least noise, divided by its "
+        f"declared sensitivity and dynamics ({channels}). Residual: "
         "|model minus measurement| over |measurement|; gray: one standard deviation of the measurement. A residual "
         "above the gray area is an error of the model."
     )

@@ -193,6 +193,15 @@ def test_runs_that_cannot_determine_the_equations(balance, noise_free):
             identify_paper_form(geometry, runs, options)
 
 
+def test_a_rig_whose_cells_are_read_in_sums_has_no_such_form(balance, noise_free):
+    channels = tuple(
+        channel.model_copy(update={"cell": None, "cells": {"x": 1.0, "y1": 1.0}}) if channel.cell == "x" else channel
+        for channel in balance.geometry.channels
+    )
+    with pytest.raises(UserError, match=r"no channel reads cell x alone.*Use `physical`"):
+        identify_paper_form(balance.geometry.model_copy(update={"channels": channels}), noise_free, PaperOptions())
+
+
 def test_freedoms_that_nothing_excites():
     """On the symmetric bar Fz at the centre heaves only: the pitch equation is not determined."""
     truth = make_plate(two_degrees_of_freedom())

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import solve
 from balance_cli.report.force_responses import (
@@ -18,10 +19,11 @@ from balance_cli.report.force_responses import (
 )
 from balance_cli.report.number_format import format_percent
 from balance_cli.report.response_figures import phase_with_gaps
-from balance_cli.report.responses import comparisons, sensor_errors
+from balance_cli.report.responses import comparisons, section, sensor_errors
 from balance_cli.report.sources import group_sources
 from balance_cli.report.sweep_figures import cell_channel_pairs, cell_channel_ratio
 from balance_cli.report.transfer import level_table
+from balance_cli.signals.response.transfer import Transfer
 from tests.support.other_rigs import other_rig
 from tests.support.report_content import FREQUENCY, NOISE, artefact, campaign, measured, model, transfer
 from tests.support.rigs import rotor_balance
@@ -101,6 +103,32 @@ def test_two_channels_of_a_cell_differ_by_their_dynamics():
     expected = 3.0 * s / (1 + 3.0 * s) * (1 + 1j * frequency / 90.0)
     np.testing.assert_allclose(frequency, FREQUENCY)
     np.testing.assert_allclose(ratio, expected, rtol=1e-9)
+
+
+SUMS = ({"z1": 1.0, "z2": 1.0, "z3": 1.0}, {"z1": 1.0, "z2": -1.0}, {"z1": 0.5, "z3": 2.0})
+
+
+def test_a_rig_without_a_channel_of_one_cell_shows_its_sums():
+    channels = tuple(Channel(name=f"sum{i}", cells=parts, sensitivity=1e-3) for i, parts in enumerate(SUMS))
+    rig = RIG.model_copy(update={"channels": channels})
+    response = measured("Fz", 20.0, rig)
+    shown = sensors(rig, [response], [])
+    assert [sensor.name for sensor in shown] == ["sum0", "sum1", "sum2"]
+    forces = solve(balance_model(rig).system(), FREQUENCY).forces
+    for sensor, parts in zip(shown, SUMS, strict=True):
+        expected = sum(weight * forces[:, rig.cell_names.index(cell), 2] for cell, weight in parts.items())
+        curve = measured_curve(response, sensor, "Fz", rig)
+        np.testing.assert_allclose(curve.value, expected, rtol=1e-9, atol=1e-12)
+    source = artefact("balance-transfer/1", Transfer(geometry=rig, responses=(response,)), "b" * 64)
+    made = section(group_sources([(Path("tf.h5"), source)]))
+    assert "sum0 by sum0, sum1 by sum1, sum2 by sum2" in str(made)
+
+
+def test_a_rig_of_accelerometers_shows_its_accelerations():
+    place = {"position": (0.1, 0.0, 0.0), "axis": (0.0, 0.0, 1.0), "side": "metric"}
+    channels = tuple(Channel(name=f"a{i}", accelerometer=place, sensitivity=0.01) for i in range(2))
+    rig = RIG.model_copy(update={"channels": channels})
+    assert [sensor.name for sensor in sensors(rig, [measured("Fz", 20.0, rig)], [])] == ["a0", "a1"]
 
 
 def test_phase_is_not_drawn_across_the_picture():

@@ -126,7 +126,11 @@ def _sensor_combination(geometry: Geometry, rule: SensorRule, run: RunSpectrum) 
 
 def _select_channel(geometry: Geometry, cell: str, run: RunSpectrum) -> Channel:
     """The channel that reads `cell`: a piezo channel before a strain channel."""
-    usable = [ch for ch in geometry.channels if ch.cell == cell and _is_usable(run, ch.name)]
+    of_cell = [ch for ch in geometry.channels if ch.cell == cell]
+    if not of_cell:
+        fault = f"the paper's form needs a channel of each cell, and no channel reads cell {cell} alone"
+        raise UserError(fault, "--form", remedy="Use `physical`")
+    usable = [ch for ch in of_cell if _is_usable(run, ch.name)]
     if not usable:
         raise UserError(
             f"no usable channel of cell {cell}", file=run.run, place="channels", remedy="Leave this run out"
