@@ -62,7 +62,7 @@ def command(
         session.report_left_out(str(path), reason)
     plan = plan_steps(inventory, output)
     show = _ProgressLines(session, len(plan.steps))
-    execution = Execution(plan, output, state, inventory.digests, jobs, show.outcome)
+    execution = Execution(plan, output, state, inventory.digests, jobs, show.outcome, session.working)
     for name, reason in plan.left_out.items():
         session.echo(f"left out: {name}: {reason}")
     if dry_run:

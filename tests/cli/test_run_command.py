@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import h5py
@@ -162,7 +163,7 @@ def chain(tmp_path, monkeypatch):
     ]
     calls = []
 
-    def execute(jobs=2, statuses=None):
+    def execute(jobs=2, statuses=None, working=nullcontext):
         def pretend(words, processes):
             calls.append(words)
             status = (statuses or {}).get(words[0], 0)
@@ -172,7 +173,7 @@ def chain(tmp_path, monkeypatch):
 
         monkeypatch.setattr(execution, "_run_command", pretend)
         (tmp_path / "logs").mkdir(exist_ok=True)
-        job = Execution(Plan(tuple(steps)), tmp_path, load_state(tmp_path), {}, jobs, lambda outcome: None)
+        job = Execution(Plan(tuple(steps)), tmp_path, load_state(tmp_path), {}, jobs, lambda outcome: None, working)
         del calls[:]
         return {name: outcome.result for name, outcome in job.run().items()}, list(calls)
 
@@ -188,6 +189,13 @@ def test_steps_wait_for_their_inputs(chain, jobs):
     assert names.index("a") < names.index("b") < names.index("c")
     assert calls[-1] == ["c", str(outputs["b"])]
     assert execute(jobs) == (dict.fromkeys("abdc", "up to date"), [])
+
+
+def test_steps_that_are_at_work_are_named_while_they_are(chain):
+    execute, _ = chain
+    named = []
+    execute(1, working=lambda task: named.append(task) or nullcontext())
+    assert sorted(named) == ["a", "b", "c", "d"]
 
 
 def test_what_the_rig_refuses_is_replaced_by_the_next_best(chain):

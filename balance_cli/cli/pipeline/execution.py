@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -68,7 +68,10 @@ class Outcome:
 
 @dataclass
 class Execution:
-    """The execution of a plan. `made` are the outputs that are there; `show` prints each outcome."""
+    """The execution of a plan. `made` are the outputs that are there; `show` prints each outcome.
+
+    `working` shows that steps are at work while they do nothing that could be shown.
+    """
 
     plan: Plan
     results: Path
@@ -76,6 +79,7 @@ class Execution:
     digests: dict[Path, str]
     jobs: int
     show: Callable[[Outcome], None]
+    working: Callable[[str], AbstractContextManager[None]] = lambda task: nullcontext()
     made: list[Path] = field(default_factory=list)
     outcomes: dict[str, Outcome] = field(default_factory=dict)
 
@@ -93,7 +97,9 @@ class Execution:
                     if len(running) >= self.jobs:
                         break
                 if running and (len(running) >= self.jobs or not any(self._ready(running))):
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    with self.working(", ".join(step.name for step in running.values())):
+                        done = wait(running, return_when=FIRST_COMPLETED).done
+                    for future in done:
                         self._record_outcome(running.pop(future), *future.result())
         return {step.name: self.outcomes[step.name] for step in self.plan.steps}
 
