@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,12 +23,15 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.estimation.identified_model import IdentifiedModel
     from balance_cli.estimation.measured_spectra import Spectra
+    from balance_cli.planning.candidate_runs import CandidateRun
     from balance_cli.planning.hall import Hall
     from balance_cli.steps.plan import PlanOptions
 
 
 MOST_MINUTES = 1e5
 """Hall time that can be planned: ten weeks, day and night."""
+FOLLOWING = {"bands": "levels of the runs", "runs": "choice of the runs", "forecast": "comparison of effects"}
+"""What a plan does after each of its loops."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +183,14 @@ def _plan(
     from balance_cli.planning.sheets import lines_table, sheets_text
     from balance_cli.steps.plan import plan_campaign
 
-    planned = plan_campaign(rig, options, model, spectra, lambda runs, text, n: session.progress(runs, text, n))
+    with ExitStack() as between:
+
+        def show(runs: Iterable[CandidateRun], text: str, count: int) -> Iterator[CandidateRun]:
+            between.close()
+            yield from session.progress(runs, text, count, False)
+            between.enter_context(session.working(FOLLOWING[text]))
+
+        planned = plan_campaign(rig, options, model, spectra, show)
     session.write_text(files.plan, plan_file_text(planned))
     if files.sheets is not None:
         session.write_text(files.sheets, sheets_text(planned))

@@ -56,7 +56,7 @@ def track(items: Iterable[T], description: str, total: int | None, reads_files: 
 
 
 def _shown(items: Iterable[T], description: str, total: int | None, reads_files: bool) -> Iterator[T]:
-    if is_quiet():
+    if is_quiet() or total == 0:
         yield from items
         return
     if sys.stderr.isatty():
