@@ -2,6 +2,9 @@
 
 Both minimize the same chi-square from the same start, over the same sweeps at both levels. scipy gets the whitened
 residuals with the loads eliminated, and differentiates them numerically.
+
+Nine evaluations of chi-square with all derivatives take 1.5 s. Their matrix products alone (derivatives of responses
+and transients, weighted ones, information) take 0.6 in bare numpy and in the cache: no fit of this kind takes 0.5.
 """
 
 from __future__ import annotations
