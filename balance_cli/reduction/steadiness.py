@@ -97,23 +97,39 @@ def examine_steadiness(
         sigma = np.vstack([np.minimum(sigma[0], sigma_if_steady(loads[:, 0])), sigma[1:]])
     is_unsteady = unsteady(loads, _least_change(sigma, loads), correlation)
     is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
-    change = common_change(within[:, 1:])
+    change, whose = common_change(within[:, 1:]), ""
+    if change is None:
+        change, whose = _change_of_channel(windows, start)
     if change is None:
         return Steadiness(is_unsteady)
-    return Steadiness(np.ones_like(is_unsteady), _explain(change, first + change.window * duration))
+    return Steadiness(np.ones_like(is_unsteady), _explain(change, first + change.window * duration, whose))
 
 
-def _explain(change: CommonChange, time: float) -> str:
-    """Say what all harmonics do from a time [s] on, and what may have made them."""
+def _change_of_channel(windows: WindowedAmplitudes, start: int) -> tuple[CommonChange | None, str]:
+    """Return the change that all harmonics of a channel have in common, counted from window `start`, and whose it is.
+
+    The loads of a rig without redundancy do not tell a channel whose gain is switched, or whose cable comes off, from a
+    change of the loads; these do not change all harmonics of one channel alike. A channel that ceases looks like the
+    end of a transient, so that the windows before the interval are examined, too.
+    """
+    for c, name in enumerate(windows.names):
+        change = common_change(windows.values[:, 1:, [c]])
+        if change is not None:
+            return replace(change, window=change.window - start), f" of {name}"
+    return None, ""
+
+
+def _explain(change: CommonChange, time: float, whose: str) -> str:
+    """Say what all harmonics, or those of one channel, do from a time [s] on, and what may have made them."""
     turn = np.degrees(change.turn)
     parts = [
         f"have {change.factor:.3g} times their size" if abs(change.factor - 1.0) > SAID_CHANGE else "",
-        f"turn by harmonic times {turn:+.2g} deg" if abs(change.turn) > SAID_CHANGE else "",
+        f"turn by harmonic times {turn:+.2g} deg" if min(abs(change.turn), change.factor) > SAID_CHANGE else "",
     ]
-    reasons = "was a gain switched?" if parts[0] else ""
+    reasons = "was a gain switched, or did a cable come off?" if parts[0] else ""
     if parts[1]:
         reasons = "did the azimuth slip, or were samples lost?"
-    return f"from {time:.3g} s on all harmonics {' and '.join(filter(None, parts))}: {reasons}"
+    return f"from {time:.3g} s on all harmonics{whose} {' and '.join(filter(None, parts))}: {reasons}"
 
 
 def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:

@@ -40,6 +40,9 @@ MODEL_ERROR_SHARE = 0.1
 
 A hub load known to 10 % does not serve for a comparison of rotors; below, sigma tells enough.
 """
+FEWEST_REJECTED, REJECTED_SHARE = 3, 1.0 / 3.0
+"""Harmonics, and share of them, at which the residual test rejects the response, from which it is rejected at all: the
+others have less redundancy or more noise. By chance three of eight are one in ten million."""
 LEAST_LEAK = 0.3
 """What may leak into a load, over its standard deviation, that flags it: together they are 5 % larger than that. In the
 channel where the line is strongest it is so many times the noise, and so it is taken to be in the loads."""
@@ -120,7 +123,7 @@ def assess_trust(
     shape, m = sigma.shape, sigma.shape[1]
     untested, contradicted, rejected = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
     untested[1:] = (solution.degrees <= 0)[:, None] | (sensor_count(geometry, record.health.live) <= m)
-    rejected[1:] = solution.misfit[:, None]
+    rejected[1:] = solution.misfit[:, None] | _response_is_rejected(solution)
     contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
     n = shape[0] - 1
     regressed, reached = 0, np.zeros(shape, bool)
@@ -215,6 +218,12 @@ def sensor_count(geometry: Geometry, live: tuple[str, ...]) -> int:
     """
     channels = [channel for channel in geometry.channels if channel.name in live]
     return len({channel.source for channel in channels})
+
+
+def _response_is_rejected(solution: SolvedLoads) -> bool:
+    """Return whether the residual test rejects the response at so many harmonics that no other one can be trusted."""
+    rejected = int(np.count_nonzero(solution.misfit))
+    return rejected >= max(FEWEST_REJECTED, REJECTED_SHARE * len(solution.misfit))
 
 
 def _model_error_matters(solution: SolvedLoads) -> Mask:

@@ -55,6 +55,12 @@ def test_a_tone_that_does_not_turn_with_the_rotor_is_still_a_line(source):
     assert frequency == pytest.approx(370.0 / (2 * np.pi), abs=1.0 / 14.0)
 
 
+def test_a_tone_five_bins_from_a_harmonic_is_a_line(source):
+    frequency = 3.0 * RIG.rotor.speed + 5.0 / 14.0
+    words, _ = flags(source, further=lambda t, psi: 0.3 * SIZE * np.cos(2 * np.pi * frequency * t)[:, None])
+    assert UNMODELLED_LINE in words[2]
+
+
 def test_a_higher_harmonic_is_still_a_line(source):
     words, loads = flags(source, speed_change=governor, further=lambda t, psi: SIZE * np.cos(9 * psi)[:, None])
     assert words == [set()] * 7 + [{UNMODELLED_LINE}]

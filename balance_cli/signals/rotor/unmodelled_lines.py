@@ -26,8 +26,9 @@ LINE_TO_FLOOR = 1000.0
 so far within the width of the median."""
 MATERIAL_SHARE = 0.05
 """Amplitude of a line, relative to the largest harmonic of the same channel, from which it is reported."""
-SIDEBAND_BINS = 8.0
-"""Bins beside a harmonic, beyond the range of its frequency, within which a line over time belongs to it."""
+SIDEBAND_BINS = 3.5
+"""Bins beside a harmonic, beyond the range of its frequency, within which a line over time belongs to it: the lobe of
+the window ends at three."""
 MOST_LINES = 6
 """Lines that are named, the strongest first."""
 BELOW_NYQUIST = 0.9
