@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 EXTRAPOLATION_SIGMAS = 2.0
 """Standard deviations of a load by which it must exceed the applied loads: the largest itself is read with noise."""
+MOST_MARGIN = 0.1
+"""Of the calibrated range, the same at most: a load of unknown zero is outside, however uncertain it is."""
 NO_WEIGHT = "no weight"
 """Flag of a row in another attitude than its zero: its loads contain a change of weight that is not known."""
 NOT_CONVERGED = "not converged"
@@ -58,6 +60,7 @@ def point_flags(model: CalibrationModel, loads: Array, covariance: Array, tests:
 
 def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> tuple[str, ...]:
     """Components whose load (k,) is outside the applied loads by more than its own uncertainty."""
-    margin = EXTRAPOLATION_SIGMAS * np.nan_to_num(np.sqrt(np.diagonal(covariance)))
+    sigma = np.nan_to_num(np.sqrt(np.diagonal(covariance)))
+    margin = np.minimum(EXTRAPOLATION_SIGMAS * sigma, MOST_MARGIN * model.calibrated_range)
     outside = (loads > model.largest_load + margin) | (loads < model.smallest_load - margin)
     return tuple(name for name, is_outside in zip(model.components, outside, strict=True) if is_outside)

@@ -134,6 +134,18 @@ def test_rows_outside_the_calibration_are_flagged_and_kept(calibrated: Path) -> 
     assert float(found["Fz [N]"][1]) == pytest.approx(3000.0, rel=5e-3)
 
 
+def test_a_row_without_zero_is_outside_however_uncertain_it_is(tmp_path: Path) -> None:
+    """Zeros of the calibration that scatter by a sixth of the range are in sigma, and leave 1.3 times it outside."""
+    (tmp_path / "g.yaml").write_text(GEOMETRY)
+    rng, labels = np.random.default_rng(12), np.repeat(np.arange(6), 9)
+    path = write_table(tmp_path / "far.csv", schedule(), rng, zero=2e-4 * rng.normal(size=(6, 4))[labels])
+    call("calibrate", "-g", tmp_path / "g.yaml", "--terms", "linear", "-o", tmp_path / "cal.h5", path)
+    found = apply(tmp_path, write_table(tmp_path / "h.csv", np.array([[0, 1.5, 0], [0, 0.3, 0]]) * FULL, rng))
+    outside = float(found["Fz [N]"][0]) - FULL[1]
+    assert 0.1 * FULL[1] < outside < 2.0 * float(found["sigma_Fz [N]"][0])
+    assert "extrapolated Fz" in found["flag"][0] and "extrapolated" not in found["flag"][1]
+
+
 def test_a_faulty_channel_contradicts_the_others(calibrated: Path) -> None:
     loads = np.array([[0, 0, 0], [0.2, 0.3, 0.1], [0.3, 0.3, 0.1]]) * FULL
     path = write_table(calibrated / "d.csv", loads, np.random.default_rng(5))
