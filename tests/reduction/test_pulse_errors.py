@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.additions import RunAdditions
 from balance_cli.reduction.flags import NOT_STEADY
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.steps.reduce import reduce_run
@@ -58,3 +59,19 @@ def test_pulses_that_alternate_have_an_azimuth_within_sigma(source):  # noqa: F8
 def test_an_error_of_the_pulses_on_a_speed_that_hunts_alike_is_not_trusted(source):  # noqa: F811
     _, loads = reduced(source, modulated(3.0, 7.0), hunting(3.0, 7.0))
     assert all(NOT_STEADY in flag for row in loads.flags[1:] for flag in row)
+
+
+def test_the_error_of_azimuth_that_an_import_states_is_in_sigma(source):  # noqa: F811
+    """Pulses that an import has smoothed are all late alike for tens of revolutions, and show no scatter."""
+    record = wind_record(RIG, harmonics(), rate=500.0, seconds=14.0)
+    drifting = record.run.pulse_times + 0.3 / 360.0 / SPEED * np.cos(
+        np.pi * np.arange(len(record.run.pulse_times)) / 400
+    )
+    outside = []
+    for additions in (None, RunAdditions(azimuth_error_deg=0.3)):
+        loads = reduce_run(replace(record.run, pulse_times=drifting, additions=additions), RIG, None, source)
+        error = (loads.amplitude - record.loads)[1:]
+        sigma = np.stack([loads.sigma_cosine, loads.sigma_sine])[:, 1:]
+        outside.append(np.mean(np.abs(np.stack([error.real, error.imag])) > 1.96 * sigma))
+    assert outside[0] > 0.5
+    assert outside[1] < 0.05

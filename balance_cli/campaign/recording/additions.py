@@ -54,7 +54,7 @@ class RunAdditions:
     """The optional parts of a run.
 
     `further_pulse_times` are those of a second rotor and so on [s]. `azimuth_error_deg` is one standard deviation of
-    the azimuth at a pulse of the first rotor, where an import stated it.
+    the azimuth at a pulse of the first rotor, where an import stated it; it enters sigma of the harmonics.
     """
 
     load_points: LoadPoints | None = None

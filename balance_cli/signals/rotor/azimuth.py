@@ -24,6 +24,8 @@ LARGEST_SCATTER = 0.1
 At 8/rev it takes 1e-4 of an amplitude. Scatter also passes for a change of speed, over whose range the response is
 averaged: beside light modes a scatter of half a degree contradicted the redundant channels.
 """
+LONGEST_SMOOTHING = 60.0
+"""Revolutions over which a smoother of pulses averages at most: so many have an error in common."""
 FEWEST_SMOOTHED = 1.5
 """Revolutions over which pulses must be averaged for smoothing to be worthwhile."""
 CONVERGED_STEP = 1e-9
@@ -149,6 +151,20 @@ def azimuth_from_pulses(pulse_times: ArrayLike, smooth: bool = True) -> Azimuth:
     azimuth = _with_scatter(azimuth, smooth)
     _check_forward_rotation(azimuth)
     return azimuth
+
+
+def with_stated_error(azimuth: Azimuth, error: float) -> Azimuth:
+    """Return the azimuth with the error [rad] that an import stated of it, one standard deviation near a pulse.
+
+    The pulses were smoothed and no longer show their scatter. Over how many revolutions is not known; the longest are
+    assumed, over which the error of the mean azimuth is largest.
+    """
+    scatter = error * math.sqrt(min(LONGEST_SMOOTHING, azimuth.turns))
+    return replace(
+        azimuth,
+        pulse_scatter=max(azimuth.pulse_scatter, scatter),
+        local_error=max(azimuth.local_error, error),
+    )
 
 
 def _without_alternation(azimuth: Azimuth) -> Azimuth:

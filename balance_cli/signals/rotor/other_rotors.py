@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run, SampleBlock, SampleSource
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
-from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses, with_stated_error
 from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST, FITTED_HARMONICS
 from balance_cli.signals.run_samples import sample_rate
@@ -130,6 +130,8 @@ def rotor_azimuth(run: Run, rotor: int) -> Azimuth:
         azimuth = azimuth_from_pulses(times[times <= end])
     except UserError as error:
         raise UserError(error.fault, error.file, place, error.remedy) from error
+    if rotor == 1 and run.additions is not None and run.additions.azimuth_error_deg:
+        azimuth = with_stated_error(azimuth, float(np.radians(run.additions.azimuth_error_deg)))
     beyond = int(np.count_nonzero(times > end))
     note = f"{beyond} pulse{'s'[: beyond > 1]} after the end of the record at {end:.6g} s left out: were samples lost?"
     return replace(azimuth, notes=(*azimuth.notes, note)) if beyond else azimuth
