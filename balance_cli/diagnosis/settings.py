@@ -163,6 +163,8 @@ class MainsFrequencySettings:
 
     search_range: float = 0.5
     """Distance from the fitted frequency [Hz] that is searched: grids keep within 0.2 Hz."""
+    max_departure: float = 0.2
+    """Distance of a fitted frequency [Hz] from its start from which it is no grid's, and the start is searched too."""
     spacing: float = 0.005
     """Spacing of the grid [Hz]: the main lobe of a one-minute record is 0.03 Hz wide."""
     looks_per_lobe: float = 2.0

@@ -1,6 +1,7 @@
 """Fits that are compared: those that may be the best ones are finished, the others are not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.score_statistics import apply_score_step, scores
 from balance_cli.diagnosis.selection.fit import fit_all_lines, fit_contenders
+from balance_cli.diagnosis.selection.mains_frequency import frequency_grid
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
@@ -82,3 +84,16 @@ def test_a_step_of_a_score_leaves_no_parameter_beyond_its_bound(late_channel):
     extended, at = apply_score_step(model, theta, batches, score, SETTINGS.score)
     assert at[extended.parameters.index(f"{label}.delay")] > 0.5 * LATE
     assert at[extended.parameters.index(name)] == 0.0
+
+
+@pytest.mark.parametrize(("fitted", "centers"), [(50.15, [50.15]), (48.86, [48.86, 50.0]), (61.0, [61.0, 60.0])])
+def test_a_tone_that_left_its_start_is_searched_there_too(fitted, centers):
+    """In short random records, whose noise contains the tone, a fit from 50 Hz had ended at 48.86 Hz."""
+    rig = rotor_balance()
+    effect = candidate_at("mains-pickup", (rig.channel_names[0],), rig).placed_effect
+    fit = SimpleNamespace(model=SimpleNamespace(geometry=rig))
+    frequency = frequency_grid(fitted, effect, fit, SETTINGS.mains)
+    assert frequency.min() == pytest.approx(min(centers) - SETTINGS.mains.search_range)
+    assert frequency.max() == pytest.approx(max(centers) + SETTINGS.mains.search_range)
+    assert all(np.min(np.abs(frequency - center)) < SETTINGS.mains.spacing for center in centers)
+    assert len(frequency) == len(centers) * 201

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
-from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.diagnosis.settings import MainsFrequencySettings, SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.mains_interference import MainsTone, tone_magnitudes, tone_noise_spread
@@ -84,20 +84,36 @@ def refit_at_best_frequency(
     for placed_effect in effects:
         tone = placed_effect.effect.search.tone
         if tone is not None:
-            fit = _search_frequency(fit, placed_effect.label, tone, batches, settings)
+            fit = _search_frequency(fit, placed_effect, tone, batches, settings)
     return fit
 
 
+def frequency_grid(fitted: float, effect: PlacedEffect, fit: Fit, settings: MainsFrequencySettings) -> Array:
+    """Return the grid of frequencies (f,) [Hz] around the fitted one, and its start where a fit has left that.
+
+    Where the noise of short records contains the tone, a fit from the start may end several lobes away.
+    """
+    centers, starts = [fitted], effect.effect.search.starts
+    tone = effect.effect.search.tone
+    if starts is not None and tone is not None:
+        frequencies = [start[tone.frequency] for start in starts(fit.model.geometry, effect.where)]
+        nearest = min(frequencies, key=lambda frequency: abs(frequency - fitted))
+        centers += [nearest] if abs(nearest - fitted) > settings.max_departure else []
+    reach = settings.search_range
+    around = np.arange(-reach, reach + 0.5 * settings.spacing, settings.spacing)
+    return np.concatenate([center + around for center in centers])
+
+
 def _search_frequency(
-    fit: Fit, label: str, tone: ToneParameters, batches: Sequence[Batch], settings: SearchSettings
+    fit: Fit, effect: PlacedEffect, tone: ToneParameters, batches: Sequence[Batch], settings: SearchSettings
 ) -> Fit:
     """The fit, or the better one from the best point of the grid of frequencies and amplitudes of one tone."""
+    label, grid = effect.label, settings.mains
     power, place = (fit.model.parameters.index(f"{label}.{name}") for name in (tone.power, tone.frequency))
     if not fit.model.parameters.free[[power, place]].all():
         return fit
-    grid, reach = settings.mains, settings.mains.search_range
     factors = np.geomspace(1 / grid.amplitude_range, grid.amplitude_range, grid.amplitude_count)
-    frequency = fit.theta[place] + np.arange(-reach, reach + 0.5 * grid.spacing, grid.spacing)
+    frequency = frequency_grid(float(fit.theta[place]), effect, fit, grid)
     amplitude = np.sqrt(max(float(fit.theta[power]), np.finfo(float).tiny)) * factors
     chi2 = _chi2_grid(fit, label, batches, frequency, amplitude)
     best_frequency, best_amplitude = np.unravel_index(np.argmin(chi2), chi2.shape)
