@@ -33,6 +33,8 @@ ROBUST_LIMIT = 6.0
 """Robust standard deviations beyond which the initial weight of a difference is reduced."""
 COLLINEARITY_RATIO = 1e-6
 """Singular values of the regressors, over the largest, that count as zero."""
+FEW_ROWS = 8
+"""Rows over the differences that are needed, which nearly always have as many: half of the rows of a ramp do."""
 
 
 def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
@@ -47,11 +49,12 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     if not channel_names:
         raise run_error(run, "none of its channels can be used", "Repair the channels, or leave the run out")
     channels, loads = read_samples(run, channel_names)
-    differences = second_differences(loads)
-    if _independent_differences(loads, differences) < len(channel_names) + 2:
+    differences, needed = second_differences(loads), len(channel_names) + 2
+    count = _independent_differences(loads, differences, needed)
+    if count < needed:
         differences = np.vstack([differences, repeated_differences(loads)])
-    count = _independent_differences(loads, differences)
-    if count < len(channel_names) + 2:
+        count = _independent_differences(loads, differences, needed)
+    if count < needed:
         fault = f"only {count} rows within a ramp of the loading or at repeated loads show its noise"
         raise run_error(run, fault, "Apply the loads in steps, up and down")
     covariance, dof = difference_covariance(channels, loads, differences)
@@ -60,12 +63,19 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     return StaticPoints(run.name, run.trim or "", names, channels, loads, covariance, dof, noise_parts=parts)
 
 
-def _independent_differences(loads: Array, operator: Array) -> int:
-    """Differences along the ramps that no linear, quadratic or cubic function of the loads explains."""
+def _independent_differences(loads: Array, operator: Array, needed: int) -> int:
+    """Differences along the ramps that no linear, quadratic or cubic function of the loads explains.
+
+    Where some of many rows have as many as are needed the count is theirs: all rows of a long run would take minutes.
+    """
     if not len(operator):
         return 0
-    singular = np.linalg.svd(_difference_operator(loads, operator), compute_uv=False)
-    return int(np.count_nonzero(singular > COLLINEARITY_RATIO))
+    B, count = _difference_operator(loads, operator), 0
+    for rows in (B[:: len(B) // (FEW_ROWS * needed) + 1], B):
+        count = int(np.count_nonzero(np.linalg.svd(rows, compute_uv=False) > COLLINEARITY_RATIO))
+        if count >= needed or len(rows) == len(B):
+            break
+    return count
 
 
 def second_differences(loads: Array) -> Array:

@@ -5,6 +5,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
+from balance_cli.signals import static_noise
 from balance_cli.signals.static_noise import second_differences, static_points
 from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
 from balance_cli.simulation.preset_plans import static_plans
@@ -191,3 +192,17 @@ def test_ramps_of_two_steps_to_both_sides_tell_the_noise():
     points = static_points(run_of(loads, channels), CHANNELS)
     assert np.sqrt(np.diag(points.covariance)) == pytest.approx(SIGMA, rel=0.8)
     assert points.dof > 4
+
+
+@pytest.mark.parametrize("constant_rows", [0, 200])
+def test_some_of_many_rows_suffice_unless_they_tell_nothing(constant_rows):
+    """A long run; behind rows at one load that show nothing, all rows are used."""
+    rng = np.random.default_rng(4)
+    ramp = np.concatenate([np.linspace(0, 1, 30), np.linspace(1, 0, 30)])
+    loads = np.concatenate([np.zeros((constant_rows, 6)), np.outer(np.tile(ramp, 5), rng.uniform(1, 2, 6))])
+    operator = static_noise.second_differences(loads)
+    whole = int(np.linalg.matrix_rank(static_noise._difference_operator(loads, operator)))
+    few = static_noise._independent_differences(loads, operator, 4)
+    assert 4 <= few < whole
+    assert static_noise._independent_differences(loads, operator, whole) == whole
+    assert static_noise._independent_differences(loads, operator, whole + 1) == whole
