@@ -143,7 +143,7 @@ def _judge_pulses(
         known.append(pattern)
         without = remake(_corrected(azimuth, pattern))
         given, removed = _ordered(record, geometry, source), _ordered(without, geometry, source)
-        verdict = judge_pattern(given, removed, pattern.frequency, record.health.live)
+        verdict = judge_pattern(given, removed, pattern, record.health.live)
         if verdict is None or verdict.share == 0.0:
             continue
         if verdict.share == 1.0:

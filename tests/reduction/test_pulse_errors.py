@@ -50,6 +50,12 @@ def test_a_speed_that_hunts_is_kept(source):  # noqa: F811
     assert not any(NOT_STEADY in flag for row in loads.flags for flag in row)
 
 
+def test_a_doubt_that_changes_no_load_flags_none(source):  # noqa: F811
+    error, loads = reduced(source, modulated(0.09, 7.0), hunting(0.4, 7.0))
+    assert error < 4.0
+    assert not any(NOT_STEADY in flag for row in loads.flags for flag in row)
+
+
 def test_pulses_that_alternate_have_an_azimuth_within_sigma(source):  # noqa: F811
     error, loads = reduced(source, lambda k: 3.0 * (k % 2))
     assert error < 2.0

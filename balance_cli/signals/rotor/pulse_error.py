@@ -17,6 +17,7 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper
 from balance_cli.signals.rotor.harmonics import BLOCK_SAMPLES, Harmonics, read_signals, sample_span
 from balance_cli.signals.rotor.line_sums import LineSums
+from balance_cli.signals.rotor.pulse_pattern import PulsePattern
 from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
@@ -34,6 +35,8 @@ WHOLE_SHARE = 0.15
 """Share of the pattern by which it may depart from none or all: what a response with usual errors makes of a speed."""
 EXPLAINED_SHARE = 0.3
 """Part of a line that may be left where its pattern is explained; loads that follow the speed leave some."""
+LEAST_DOUBT = 0.15
+"""Degrees of a pattern that must be in doubt: 0.3 change a load beside a light mode by its sigma, half a quarter."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +59,17 @@ class OrderedRecord:
 
 
 def judge_pattern(
-    with_pattern: OrderedRecord, without: OrderedRecord, frequency: float, names: tuple[str, ...]
+    with_pattern: OrderedRecord, without: OrderedRecord, pattern: PulsePattern, names: tuple[str, ...]
 ) -> PulseVerdict | None:
-    """Return the verdict on a pattern at `frequency` per revolution; None where the channels do not tell.
+    """Return the verdict on a pattern of the pulses; None where the channels do not tell.
 
-    The two records are those of the pulses as they are, and without the pattern.
+    The two records are those of the pulses as they are, and without the pattern. What is in doubt of a small pattern
+    changes no load, and does not count.
     """
     n = len(with_pattern.spectra.frequency_hz) - 1
     pairs = [item.spectra.revolutions for item in (with_pattern, without)]
     revolutions = max(first for first, _ in pairs), min(last for _, last in pairs)
-    beside = _lines_beside(n, frequency, revolutions[1] - revolutions[0])
+    beside = _lines_beside(n, pattern.frequency, revolutions[1] - revolutions[0])
     if not len(beside):
         return None
     (given, floor), (removed, other_floor) = (
@@ -78,9 +82,10 @@ def judge_pattern(
     each = -given[is_clear] / change[is_clear]
     weight = (np.abs(change) / np.sqrt(np.minimum(floor, other_floor)))[is_clear]
     share = complex(_weighted_median(each.real, weight), _weighted_median(each.imag, weight))
-    share = next((float(whole) for whole in (0, 1) if abs(share - whole) < WHOLE_SHARE), share)
+    negligible = LEAST_DOUBT / pattern.degrees
+    share = next((float(whole) for whole in (0, 1) if abs(share - whole) < max(WHOLE_SHARE, negligible)), share)
     left = _weighted_median(np.abs(each - share), weight)
-    return PulseVerdict(share, left > EXPLAINED_SHARE)
+    return PulseVerdict(share, left > max(EXPLAINED_SHARE, negligible))
 
 
 def _lines_beside(n: int, frequency: float, turns: int) -> NDArray[np.int64]:
