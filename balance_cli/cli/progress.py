@@ -81,8 +81,16 @@ def _bar(**options: Any) -> Any:
     from tqdm import tqdm
 
     tqdm.monitor_interval = 0  # no thread, which would make the fork of the process that reads files unsafe
-    columns, rows = (None, None) if os.get_terminal_size(sys.stderr.fileno()).columns else USUAL_SIZE
+    columns, rows = (None, None) if _has_size() else USUAL_SIZE
     return tqdm(file=sys.stderr, leave=False, ncols=columns, nrows=rows, **options)
+
+
+def _has_size() -> bool:
+    """Whether the terminal says how large it is: some that programs make state none, or are no file."""
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns > 0
+    except (OSError, ValueError):
+        return False
 
 
 @contextmanager
