@@ -19,6 +19,7 @@ from balance_cli.diagnosis.search.extended_models import add_candidates, extend_
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.starting_values import start_from_equations_of_motion
 
 REASON = "the model misses a large part of the response, and a whole fit with it describes more"
@@ -36,7 +37,7 @@ def add_common_effect(
         return state, (), {}
     ends = {item.label: _whole_fit(state, item, lines, settings) for item in _common_candidates(state, settings)}
     gains = {
-        label: state.fit_criterion - end.fit_criterion - settings.parameter_cost * len(end.theta[len(state.theta) :])
+        label: state.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(state.theta))
         for label, end in ends.items()
     }
     best = max(gains, key=lambda label: gains[label], default=None)
@@ -84,7 +85,7 @@ def _trial(label: str, gain: float, accepted: bool) -> Trial:
         label=label,
         score=float("nan"),
         parameters=1,
-        p_value=0.0 if accepted else 1.0,
+        p_value=gain_p_value(gain, 1),
         gain=gain,
         decision="accepted" if accepted else "rejected",
         reason=REASON if accepted else "a whole fit with it describes no more",

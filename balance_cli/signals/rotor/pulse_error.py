@@ -36,7 +36,7 @@ WHOLE_SHARE = 0.15
 EXPLAINED_SHARE = 0.3
 """Part of a line that may be left where its pattern is explained; loads that follow the speed leave some."""
 LEAST_DOUBT = 0.15
-"""Degrees of a pattern that must be in doubt: 0.3 change a load beside a light mode by its sigma, half a quarter."""
+"""Degrees of a pattern that must be in doubt: 0.3 change a load beside a light mode by its sigma, 0.15 by a quarter."""
 
 
 @dataclass(frozen=True)
