@@ -199,7 +199,8 @@ def _gap_faults(run: Run, path: Path) -> Iterator[UserError]:
     """Yield what commands interpolate in a run: it is a fault of the record, though they can do without the samples."""
     for name, about in gap_summary(run).items():
         gaps = f"{plural(about['gaps'], 'gap')}, longest {about['longest']}"
-        fault = f"{plural(about['samples'], 'sample')} not finite, in {gaps}"
+        what = "not finite, held or dropped out" if "held" in about else "not finite"
+        fault = f"{plural(about['samples'], 'sample')} {what}, in {gaps}"
         remedy = "Commands interpolate them, and sigma contains the error"
         if run.kind == "static":
             remedy = "Commands leave these load points out"

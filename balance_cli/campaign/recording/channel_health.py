@@ -100,7 +100,8 @@ def channel_faults(
     for name, record in records.items():
         record.periods = _whole_periods(run)
         components = COMPONENTS if driving_loads is None else driving_loads[name]
-        faults[name] = _channel_fault(record, ranges[name], _may_be_constant(run, record, components))
+        fault = _channel_fault(record, ranges[name], _may_be_constant(run, record, components))
+        faults[name] = fault or run.held.get(name, "")
     return {name: fault for name, fault in faults.items() if fault}
 
 

@@ -1,4 +1,4 @@
-"""Short gaps of a record, samples that are not finite, are bridged where the record is read.
+"""Short gaps of a record, samples that are not finite, held or dropped out, are bridged where the record is read.
 
 A gap is bridged by interpolation (`gap_interpolation`). Longer or more frequent gaps stay, and the channel is left out.
 Gaps of the loads are faults of the run: loads are what responses and errors refer to, and no other signal can stand in
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.gap_interpolation import REACH, interpolate_missing
+from balance_cli.campaign.recording.held_samples import held_samples
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, BridgedSamples, Run, SampleBlock, SampleSource
 from balance_cli.campaign.recording.static_rows import describe_rows, leave_out_rows
 from balance_cli.io.result_view import plural
@@ -62,21 +63,36 @@ def bridge_gaps(run: Run) -> Run:
     """Return the run with its short gaps filled, or its unread rows left out, and listed; itself where it has none."""
     if run.kind == "static":
         return leave_out_rows(run)
-    bridged = {}
-    for column, missing in _missing_samples(run).items():
-        samples = _bridge(run, run.channel_names[column], column, missing)
+    bridged, faults = {}, {}
+    missing, held = _missing_samples(run), held_samples(run)
+    for column in sorted({*missing, *held}):
+        index = np.union1d(missing.get(column, []), held.get(column, [])).astype(np.int64)
+        name, count = run.channel_names[column], len(held.get(column, []))
+        samples = _bridge(run, name, column, index) if len(index) <= LARGEST_SHARE * run.samples else None
         if samples is not None:
-            bridged[column] = samples
-    if not bridged:
+            bridged[column] = replace(samples, held=count)
+        elif count:
+            faults[name] = _held_fault(held[column], run.samples)
+    if not bridged and not faults:
         return run
     fills = {column: (samples.index, samples.values) for column, samples in bridged.items()}
-    return replace(run, source=BridgedSource(run.source, fills), bridged=tuple(bridged.values()))
+    return replace(run, source=BridgedSource(run.source, fills), bridged=tuple(bridged.values()), held=faults)
+
+
+def _held_fault(index: Integers, samples: int) -> str:
+    share = f"{len(index)} of {samples} samples repeat the one before or are exactly zero"
+    return f"held or dropped out: {share}, the first is sample {index[0]}, more than can be bridged"
 
 
 def gap_summary(run: Run) -> dict[str, dict[str, int]]:
     """Return how many samples of each signal were bridged, in how many gaps, and the samples of the longest one."""
     return {
-        item.name: {"samples": item.count, "gaps": len(item.gaps), "longest": longest_gap(item.index)}
+        item.name: {
+            "samples": item.count,
+            "gaps": len(item.gaps),
+            "longest": longest_gap(item.index),
+            **({"held": item.held} if item.held else {}),
+        }
         for item in run.bridged
     }
 
@@ -86,10 +102,14 @@ def describe_gaps(run: Run) -> str:
     if run.kind == "static":
         return describe_rows(run)
     texts = (
-        f"{name} ({about['samples']} in {plural(about['gaps'], 'gap')}, longest {about['longest']})"
+        f"{name} ({about['samples']} in {plural(about['gaps'], 'gap')}, longest {about['longest']}{_held_part(about)})"
         for name, about in gap_summary(run).items()
     )
     return f"missing samples interpolated: {', '.join(texts)}" if run.bridged else ""
+
+
+def _held_part(about: Mapping[str, int]) -> str:
+    return f"; {about['held']} of them repeat a value or are exactly zero" if "held" in about else ""
 
 
 def report_gaps(runs: Iterable[Run], report: Callable[[str, str], None]) -> dict[str, dict[str, dict[str, int]]]:
@@ -135,6 +155,7 @@ def _bridge(run: Run, name: str, column: int, missing: Integers) -> BridgedSampl
         low, high = max(0, first - CONTEXT), min(run.samples, stop + CONTEXT + REACH)
         signal = run.read(low, high).channels[:, column]
         is_missing = ~np.isfinite(signal)
+        is_missing[missing[slice(*np.searchsorted(missing, (low, high)))] - low] = True
         if np.any(np.abs(signal[~is_missing]) > LARGEST_MAGNITUDE):
             return None
         # Displaced gaps lie on the side where the record goes on.

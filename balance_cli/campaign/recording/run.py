@@ -85,13 +85,14 @@ class BridgedSamples:
     """Samples of one signal (channel or load) that were missing and are interpolated.
 
     `index` (m,), ascending, `values` (m,), and `errors` (k, m) of the same interpolation at k places beside them, where
-    the samples are known.
+    the samples are known. `held` of them are finite, but repeat the one before or are zeros of a link that dropped out.
     """
 
     name: str
     index: NDArray[np.int64]
     values: Array
     errors: Array
+    held: int = 0
 
     @property
     def count(self) -> int:
@@ -107,7 +108,8 @@ class BridgedSamples:
     def excerpt(self, start: int, stop: int) -> BridgedSamples:
         """Return those of samples start to stop, counted from `start`."""
         low, high = np.searchsorted(self.index, (start, stop))
-        return BridgedSamples(self.name, self.index[low:high] - start, self.values[low:high], self.errors[:, low:high])
+        part = slice(low, high)
+        return replace(self, index=self.index[part] - start, values=self.values[part], errors=self.errors[:, part])
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,6 +121,7 @@ class Run:
     balance_cli.campaign.rig.attitude; `series_labels` and `point_kinds` (n,) of a static run: the load series of each
     row and the kind of its load point, None where the file states none; `digest` is the hex SHA-256 of the content;
     `bridged`: signals with short gaps, which `source` fills; in a static run those for which rows were left out;
+    `held`: faults of channels with too many held samples, by name;
     `copied_rows`: rows of the file of a static run that were left out as copies.
     `conditions`: further numbers among the attributes of the file, such as the collective pitch or the wind speed, over
     which results can be compared. `reading_units`: base unit of each channel that is not read in V.
@@ -147,6 +150,7 @@ class Run:
     path: Path | None = None
     digest: str = ""
     bridged: tuple[BridgedSamples, ...] = ()
+    held: dict[str, str] = field(default_factory=dict)
     copied_rows: tuple[int, ...] = ()
     additions: RunAdditions | None = None
     conditions: dict[str, float] = field(default_factory=dict)

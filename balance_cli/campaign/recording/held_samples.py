@@ -1,0 +1,196 @@
+"""Samples that a channel did not measure: those that repeat the one before, and exact zeros of a link that dropped out.
+
+Both need no model and no other channel. What must not be mistaken for them is a coarse converter, which repeats values
+by chance, and a slow signal, which dwells at a peak.
+
+- A stretch of identical samples is held if chance does not make it: with the share p of stretches of two samples or
+  more around it, one of n samples begins one of length L with probability p^(L - 1). It must also end, or begin, with a
+  step of several times the converter's: a slow signal leaves the value at which it dwells by a single one.
+- All samples of a channel are held if its stretches have one length, or multiples of it: it was read at a lower rate.
+- Exact zeros are dropped out if they are far more frequent than each of the values next to zero. They may be single
+  samples: each is an error of the opposite sign of the signal, so that amplitudes are too small by their share. The
+  same holds of differences of neighboring samples: single samples that repeat the one before.
+
+Clipped samples, at the extreme of a channel, have a test of their own (`channel_health`), and so has a channel that is
+constant for long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.run import Array, Run
+
+Integers = NDArray[np.int64]
+
+LEAST_HELD = 5
+"""Samples of the shortest stretch that the values around it can prove, with NEIGHBORHOOD and CHANCE as they are."""
+NEIGHBORHOOD = 512
+"""Samples on either side of a stretch that tell how often values repeat there."""
+CHANCE = 1e-6
+"""Probability that a record without held samples has a stretch that is taken for held."""
+STEPS_OF_CONVERTER = 4.0
+"""Steps of the converter beyond which a stretch is not a peak: a parabola that dwells for five samples or more moves by
+less than one step in the next sample, and noise that dwells is smaller than a step."""
+ROUNDING = 16.0 * float(np.finfo(np.float32).eps)
+"""Of the largest magnitude: samples stored in single precision repeat at peaks, too."""
+FEWEST_STRETCHES, REGULAR_SHARE = 50, 0.98
+"""Stretches, and share of them with one length or multiples of it, that tell a lower rate: of a slow signal in coarse
+steps no two thirds have."""
+LEAST_ZEROS = 12
+"""Exact zeros, of samples or of differences, below which their number says nothing."""
+ZEROS_TO_NEIGHBORS = 8.0
+"""Frequency of zero over that of a value next to it from which zeros are no samples."""
+FEWEST_NEIGHBORS = 256
+"""Samples next to zero whose distinct values are counted."""
+SAMPLED = 1024
+"""Sizes that tell where the smallest ones end."""
+FINE_STEPS = 16.0
+"""Steps of the converter within the scatter of a channel from which its values are too many for zero to be usual."""
+ROTOR_KINDS = ("check", "wind", "zero")
+"""Kinds of run throughout which a channel moves; sweeps may begin, pause and end at rest."""
+
+
+def held_samples(run: Run) -> dict[int, Integers]:
+    """Return the indices of the samples of each column of the channels that are held or dropped out.
+
+    A sampled run; one of hammer blows has none, because its channels may rest between them.
+    """
+    if run.excitation == "impact" or run.samples < LEAST_HELD:
+        return {}
+    found = {}
+    for column in np.flatnonzero(_screen(run)).tolist():
+        x = np.concatenate([block.channels[:, column] for block in run.blocks()])
+        parts = [_held(x)]
+        if run.kind in ROTOR_KINDS:
+            peak = float(np.abs(x[np.isfinite(x)]).max(initial=0.0))
+            parts += [_excess_zeros(x, peak), _excess_zeros(_differences(x), peak) + 1]
+        index = np.unique(np.concatenate(parts))
+        if len(index):
+            found[column] = index
+    return found
+
+
+def _screen(run: Run) -> NDArray[np.bool_]:
+    """Return which columns have LEAST_HELD identical samples in a row, or LEAST_ZEROS zeros or repeats."""
+    columns = len(run.channel_names)
+    stretches, repeats, zeros = np.zeros(columns, bool), np.zeros(columns, int), np.zeros(columns, int)
+    last = np.empty((0, columns))
+    for block in run.blocks():
+        x = np.concatenate([last, block.channels]) if len(last) else block.channels
+        equal = x[1:] == x[:-1]
+        if equal.any():
+            several = equal[LEAST_HELD - 2 :].copy()
+            for k in range(LEAST_HELD - 2):
+                several &= equal[k : len(equal) - (LEAST_HELD - 2 - k)]
+            stretches |= several.any(axis=0)
+            repeats += np.count_nonzero(equal, axis=0)
+        zeros += np.count_nonzero(block.channels == 0.0, axis=0)
+        last = block.channels[-(LEAST_HELD - 1) :]
+    return np.asarray(stretches | (np.maximum(zeros, repeats) >= LEAST_ZEROS))
+
+
+def _held(x: Array) -> Integers:
+    """Return the samples of a channel (n,) after the first of each stretch that is held, or all of one of zeros."""
+    starts = np.concatenate([[0], np.flatnonzero(x[1:] != x[:-1]) + 1])
+    lengths = np.diff(starts, append=len(x))
+    if _has_lower_rate(lengths):
+        return np.setdiff1d(np.arange(starts[1], starts[-1]), starts)
+    candidates = np.flatnonzero(lengths >= LEAST_HELD)
+    candidates = candidates[(candidates > 0) & _is_inside(x, starts[candidates])]
+    if not candidates.size:
+        return np.empty(0, np.int64)
+    share = _share_of_repeats(starts, lengths, candidates)
+    by_chance = len(x) * share ** (lengths[candidates] - 1.0)
+    held = candidates[(by_chance < CHANCE) & (_edge_steps(x, starts, lengths, candidates) > _least_step(x, starts))]
+    return _samples(
+        (int(start) + (x[start] != 0.0), int(start + length))
+        for start, length in zip(starts[held], lengths[held], strict=True)
+    )
+
+
+def _has_lower_rate(lengths: Integers) -> bool:
+    """Whether stretches of a channel have one length, or multiples of it, but for the first and the last."""
+    inside = lengths[1:-1]
+    if len(inside) < FEWEST_STRETCHES or np.count_nonzero(inside >= 2) < REGULAR_SHARE * len(inside):
+        return False
+    usual = int(np.median(inside))
+    return bool(np.mean(inside % usual == 0) > REGULAR_SHARE)
+
+
+def _is_inside(x: Array, index: Integers) -> NDArray[np.bool_]:
+    """Whether the values at these samples are zero or no extremes of the channel: those may be clipped."""
+    value = x[index]
+    return np.asarray((value == 0.0) | ((value > np.nanmin(x)) & (value < np.nanmax(x))))
+
+
+def _share_of_repeats(starts: Integers, lengths: Integers, at: Integers) -> Array:
+    """Return the share of stretches of two samples or more around some of them, which do not count themselves."""
+    counted = np.concatenate([[0], np.cumsum(lengths >= 2)])
+    low = np.searchsorted(starts, starts[at] - NEIGHBORHOOD)
+    high = np.searchsorted(starts, starts[at] + lengths[at] + NEIGHBORHOOD)
+    # One is added to both: a share of none among some hundred is not known to be less than one of them.
+    return np.asarray((counted[high] - counted[low]) / (high - low))
+
+
+def _edge_steps(x: Array, starts: Integers, lengths: Integers, at: Integers) -> Array:
+    """Return the larger of the steps into and out of some stretches, of those that are finite."""
+    first, stop = starts[at], np.minimum(starts[at] + lengths[at], len(x) - 1)
+    return np.asarray(np.fmax(np.abs(x[first] - x[first - 1]), np.abs(x[first] - x[stop])))
+
+
+def _least_step(x: Array, starts: Integers) -> float:
+    """Return the step from which the edge of a stretch is not that of a slow signal."""
+    finite = np.abs(x[np.isfinite(x)])
+    return max(STEPS_OF_CONVERTER * _converter_step(x, starts), ROUNDING * float(finite.max(initial=0.0)))
+
+
+def _converter_step(x: Array, starts: Integers) -> float:
+    """Return the smallest difference of neighboring samples that differ."""
+    steps = np.abs(x[starts[1:]] - x[starts[1:] - 1])
+    return float(np.nanmin(steps, initial=np.inf))
+
+
+def _differences(x: Array) -> Array:
+    """Return the differences (n - 1,) of neighboring samples, NaN at the extremes of the channel."""
+    return np.where(_is_inside(x, np.arange(1, len(x))), np.diff(x), np.nan)
+
+
+def _excess_zeros(values: Array, peak: float) -> Integers:
+    """Return the values (n,) that are exactly zero where chance does not make so many, else none.
+
+    Neighboring values of single precision, of a signal that reaches `peak`, count as one.
+    """
+    none = np.empty(0, np.int64)
+    is_zero = values == 0.0
+    zeros = np.flatnonzero(is_zero)
+    if len(zeros) < LEAST_ZEROS:
+        return none
+    # What stands before the first and after the last other value is a channel that is not on yet, or no more.
+    zeros = zeros[(zeros > np.argmin(is_zero)) & (zeros < len(values) - 1 - np.argmin(is_zero[::-1]))]
+    sizes = np.abs(values[~is_zero])
+    sizes = sizes[np.isfinite(sizes)]
+    if len(sizes) < FEWEST_NEIGHBORS:
+        return none
+    unit = 4.0 * float(np.finfo(np.float32).eps) * peak
+    steps = np.round(_smallest(sizes, max(FEWEST_NEIGHBORS, 4 * len(zeros))) / unit)
+    near = np.unique(steps[steps > 0.0])
+    if not len(near) or len(zeros) <= LEAST_ZEROS + ZEROS_TO_NEIGHBORS * len(steps) / len(near):
+        return none
+    step = float(np.diff(near, prepend=0.0).min()) * unit
+    return zeros if np.median(np.abs(sizes - np.median(sizes))) >= FINE_STEPS * step else none
+
+
+def _smallest(sizes: Array, count: int) -> Array:
+    """Return about `count` of the smallest sizes: every so many tell where they end, because a sort takes long."""
+    few = np.sort(sizes[:: max(1, len(sizes) // SAMPLED)])
+    return np.asarray(sizes[sizes <= few[min(int(count / len(sizes) * len(few)) + 1, len(few) - 1)]])
+
+
+def _samples(stretches: Iterable[tuple[int, int]]) -> Integers:
+    """Return the indices of some stretches (first, stop)."""
+    parts = [np.arange(first, stop, dtype=np.int64) for first, stop in stretches]
+    return np.concatenate([np.empty(0, np.int64), *parts])

@@ -1,0 +1,113 @@
+"""Samples that repeat the one before, or are zeros of a link that dropped out, are bridged like missing ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.channel_health import channel_faults
+from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps
+from balance_cli.campaign.recording.held_samples import held_samples
+from balance_cli.campaign.recording.run import MemorySource, Run
+from tests.campaign.test_gaps import rotor_run
+
+PLACES = np.array([1003, 2511, 4805, 7707])
+
+
+def changed(change, seed=0, **of_run) -> Run:
+    """The first channel changed by a function of its samples."""
+    run = rotor_run(seed)
+    channels = run.read().channels.copy()
+    channels[:, 0] = change(channels[:, 0])
+    return replace(run, source=MemorySource(channels, None), **of_run)
+
+
+def dropped(length, value=None, places=PLACES):
+    """Stretches of a value, or of the sample before each."""
+
+    def change(x):
+        for place in places:
+            x[place : place + length] = x[place] if value is None else value
+        return x
+
+    return change
+
+
+def index_of(length, held=False, places=PLACES):
+    return np.concatenate([np.arange(place + held, place + length) for place in places])
+
+
+@pytest.mark.parametrize("mean", [0.0, 5.0])
+@pytest.mark.parametrize("length", [5, 20, 32])
+@pytest.mark.parametrize("value", [None, 0.0])
+def test_stretches_that_are_held_or_zero_are_found(length, value, mean):
+    run = changed(lambda x: dropped(length, value)(x + mean))
+    found = held_samples(run)
+    assert list(found) == [0]
+    np.testing.assert_array_equal(found[0], index_of(length, held=value is None))
+
+
+@pytest.mark.parametrize("mean", [0.0, 5.0])
+@pytest.mark.parametrize("value", [None, 0.0])
+def test_single_samples_that_are_often_held_or_zero_are_found(value, mean):
+    places = np.random.default_rng(1).choice(np.arange(50, 9500), 40, replace=False)
+    run = changed(lambda x: dropped(1 if value == 0.0 else 2, value, places)(x + mean))
+    found = held_samples(run)[0]
+    assert np.isin(places if value == 0.0 else places + 1, found).all()
+    assert len(found) <= 42
+
+
+@pytest.mark.parametrize("step", [0.5, 0.1, 0.02, 0.003])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize("stored", [np.float32, float])
+def test_a_coarse_converter_holds_nothing(step, noise, stored):
+    run = rotor_run(2, noise=noise)
+    samples = (np.round(run.read().channels / step) * step).astype(stored).astype(float)
+    assert held_samples(replace(run, source=MemorySource(samples, None))) == {}
+
+
+def test_a_slow_signal_without_noise_holds_nothing():
+    time = np.arange(60_000) / 51_200.0
+    slow = np.cos(2 * np.pi * 4.0 * time) + 0.2 * np.cos(2 * np.pi * 12.0 * time)
+    for samples in (slow.astype(np.float32).astype(float), np.round(slow * 200) / 200, np.round(slow * 8000) / 8000):
+        run = replace(rotor_run(0), samples=len(samples), source=MemorySource(samples[:, None], None))
+        assert held_samples(replace(run, channel_names=("a",))) == {}
+
+
+def test_clipped_samples_are_left_to_their_own_test():
+    run = changed(lambda x: np.minimum(x, np.quantile(x, 0.95)))
+    assert held_samples(run) == {}
+    assert "clipped" in channel_faults(run, {"a": None})["a"]
+
+
+def test_a_channel_that_was_read_at_a_lower_rate_is_left_out():
+    run = changed(lambda x: np.repeat(x[::4], 4)[: len(x)])
+    assert len(held_samples(run)[0]) > 0.7 * run.samples
+    assert "repeat the one before" in channel_faults(bridge_gaps(run), {"a": None})["a"]
+
+
+def test_a_channel_may_rest_between_blows_of_a_hammer():
+    blow = np.where(np.arange(9600) % 2400 < 600, np.exp(-(np.arange(9600) % 2400) / 60.0), 0.0)
+    run = changed(lambda x: np.round(50 * blow * x) / 50, excitation="impact", kind="sweep")
+    assert held_samples(run) == {}
+
+
+def test_what_is_held_is_bridged_and_said():
+    run, sound = changed(dropped(20, 0.0)), rotor_run(0)
+    filled = bridge_gaps(run)
+    assert describe_gaps(filled) == (
+        "missing samples interpolated: a (80 in 4 gaps, longest 20; 80 of them repeat a value or are exactly zero)"
+    )
+    assert channel_faults(filled, {"a": None}) == {}
+    error = filled.read().channels[:, 0] - sound.read().channels[:, 0]
+    assert np.sqrt(np.mean(error[index_of(20)] ** 2)) < 0.2
+    np.testing.assert_array_equal(np.flatnonzero(error), index_of(20))
+
+
+def test_a_channel_that_is_often_held_is_left_out():
+    places = np.arange(100, 9400, 150)
+    run = bridge_gaps(changed(dropped(10, 0.0, places)))
+    assert channel_faults(run, {"a": None}) == {
+        "a": "held or dropped out: 620 of 9600 samples repeat the one before or are exactly zero, the first is sample "
+        "100, more than can be bridged"
+    }
