@@ -22,7 +22,7 @@ from balance_cli.model.channel_gains import channel_gains, log_gain_derivative
 from balance_cli.model.mechanics.dual_numbers import Dual, constant
 from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.response_jacobian import output_jacobian
-from balance_cli.model.system import System, log_frequency_ratio
+from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, SpringInputs, extra_forces, volts_of_forces
 from balance_cli.signals.waveform_types import Waveform
 
@@ -227,7 +227,7 @@ def _elastic_force(waveform: Waveform, system: System, unmixed: _UnmixedVolts, s
     loss, growth = system.equations.loss, system.equations.frequency_stiffness
     reading, derivative = _measured_spring_force(waveform, system, unmixed, spring, columns)
     # Loss and growth hold only where there is motion.
-    quadrature, logarithmic = 1j * (waveform.frequency > 0), log_frequency_ratio(waveform.frequency)
+    quadrature, logarithmic = 1j * (waveform.frequency > 0), system.pencil.log_frequency_ratio(waveform.frequency)
     factor = 1.0 + quadrature * loss.value[spring] + logarithmic * growth.value[spring]
     d_loss, d_growth = loss.derivative[columns, spring], growth.derivative[columns, spring]
     change = quadrature[:, None] * d_loss + logarithmic[:, None] * d_growth

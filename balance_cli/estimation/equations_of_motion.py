@@ -18,7 +18,7 @@ from balance_cli.estimation.regression_residual import (
     line_stride,
 )
 from balance_cli.model.response_jacobian import multiply_derivatives
-from balance_cli.model.system import System, dynamic_stiffness, log_frequency_ratio
+from balance_cli.model.system import System, dynamic_stiffness
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -48,10 +48,9 @@ class _MotionLines:
         """1j where there is motion, else 0, (K, 1)."""
         return 1j * np.sign(self.frequency)[:, None]
 
-    @property
-    def log_frequency_ratio(self) -> Array:
+    def log_frequency_ratio(self, system: System) -> Array:
         """ln(f / f0) (K, 1), the factor of the frequency-dependent stiffness."""
-        return log_frequency_ratio(self.frequency)[:, None]
+        return system.pencil.log_frequency_ratio(self.frequency)[:, None]
 
 
 def motion_residuals(
@@ -92,7 +91,8 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     of_forces, of_loss = system.readings[lines.rows], system.readings_loss[lines.rows]
     of_frequency_stiffness = system.readings_frequency_stiffness[lines.rows]
     R = of_forces.value + lines.quadrature[:, :, None] * of_loss.value
-    R = R + lines.log_frequency_ratio[:, :, None] * of_frequency_stiffness.value
+    ratio = lines.log_frequency_ratio(system)
+    R = R + ratio[:, :, None] * of_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
     cross_axis = system.equations.cross_axis(lines.is_static)
     true_loads = lines.loads @ cross_axis.value.T
@@ -107,7 +107,7 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
         )
         readings = multiply_derivatives(of_forces.derivative, x)
         readings = readings + multiply_derivatives(of_loss.derivative, lines.quadrature * x)
-        readings = readings + multiply_derivatives(of_frequency_stiffness.derivative, lines.log_frequency_ratio * x)
+        readings = readings + multiply_derivatives(of_frequency_stiffness.derivative, ratio * x)
         change = (
             np.concatenate([excitation - _pencil_derivative_product(system, lines, x), -readings], axis=1)
             * lines.weight[:, :, None]
@@ -128,7 +128,7 @@ def _pencil_derivative_product(system: System, lines: _MotionLines, x: ComplexAr
         pencil.hysteresis.derivative,
         pencil.frequency_stiffness.derivative,
     )
-    vectors = (x, 1j * w * x, w**2 * x, lines.quadrature * x, lines.log_frequency_ratio * x)
+    vectors = (x, 1j * w * x, w**2 * x, lines.quadrature * x, lines.log_frequency_ratio(system) * x)
     return multiply_derivatives(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
 
 

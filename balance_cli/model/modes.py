@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
 
-from balance_cli.model.system import REFERENCE_FREQUENCY, System
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -58,7 +58,7 @@ def frequency_stiffness_shift(
     `left` and `right` (m, n) are the eigenvectors, `norm` (m,) = y (2 s M + D) x.
     """
     frequency_stiffness = system.pencil.frequency_stiffness
-    each = -np.log(np.abs(s) / (2 * np.pi * REFERENCE_FREQUENCY)) / norm
+    each = -np.log(np.abs(s) / (2 * np.pi * system.pencil.reference_frequency)) / norm
     shift = each * np.einsum("mi,ij,mj->m", left, frequency_stiffness.value, right)
     derivatives = np.zeros((len(s), system.parameters), complex)
     if frequency_stiffness.derivative.any():

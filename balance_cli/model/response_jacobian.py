@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.model.channel_gains import log_gain_derivative, path_parameters
-from balance_cli.model.system import System, log_frequency_ratio
+from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, SpringInputs, spring_forces
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def _force_volts_jacobian(
     if system.readings_loss.derivative.any():
         frequency = solution.frequency[index][:, None]
         matrices += [system.readings_loss.derivative, system.readings_frequency_stiffness.derivative]
-        vectors += [1j * np.sign(frequency) * x, log_frequency_ratio(frequency) * x]
+        vectors += [1j * np.sign(frequency) * x, system.pencil.log_frequency_ratio(frequency) * x]
     of_readings = np.concatenate([part[selection][:, springs] for part in matrices], axis=2)
     derivatives = (gains[:, :, None] * solution.force_influence[:, springs])[index] @ change
     _add_reading_changes(derivatives, of_readings, np.concatenate(vectors, axis=1), gains[index])
@@ -90,7 +90,8 @@ def _motion_and_change(
     if extra is not None:
         excitation = excitation + extra.acting @ system.reactions.value.T
     x = np.matmul(solution.receptance[index], excitation[:, :, None])[:, :, 0]
-    quadrature, logarithmic = 1j * np.sign(w) * x, log_frequency_ratio(solution.frequency[index])[:, None] * x
+    ratio = pencil.log_frequency_ratio(solution.frequency[index])[:, None]
+    quadrature, logarithmic = 1j * np.sign(w) * x, ratio * x
     matrices = [
         system.inputs.derivative,
         -pencil.stiffness.derivative,

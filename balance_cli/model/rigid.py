@@ -13,6 +13,7 @@ from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix
+from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.campaign.rig.torque_meter import shaft_inputs, twist_rows
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
@@ -51,6 +52,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         stiffness=k,
         loss=constant(np.zeros(len(springs)), p),
         frequency_stiffness=constant(np.zeros(len(springs)), p),
+        reference_frequency=rig_frequency(geometry),
         extra_readings=constant(np.zeros((len(springs), n)), p),
         inputs=F,
         paths=_channel_paths(geometry, springs, value, p),

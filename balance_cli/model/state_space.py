@@ -113,14 +113,14 @@ def _structural_descriptor(system: System, spin: float, read: list[int]) -> Desc
     chain = relaxation_chain()
     U, loss = _rank_factors(system.readings_loss.value)
     reactions = system.reactions.value @ U
-    strengths, rates = chain.strengths[None], chain.rates[:, None]
+    strengths, rates = chain.strengths[None], 2 * np.pi * system.pencil.reference_frequency * chain.rates[:, None]
     M, D, K = _second_order_matrices(system, spin)
     n, relaxing = len(M), len(loss) * len(chain.rates)
     A = np.block(
         [
             [np.zeros((n, n)), np.eye(n), np.zeros((n, relaxing))],
             [chain.instantaneous_increment * reactions @ loss - K, -D, -np.kron(reactions, strengths)],
-            [np.kron(loss, rates), np.zeros((relaxing, n)), -np.diag(np.tile(chain.rates, len(loss)))],
+            [np.kron(loss, rates), np.zeros((relaxing, n)), -np.diag(np.tile(rates[:, 0], len(loss)))],
         ]
     )
     readings = system.readings.value + chain.instantaneous_increment * system.readings_loss.value

@@ -19,16 +19,12 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-REFERENCE_FREQUENCY = 20.0
-"""Frequency [Hz] at which a frequency-dependent spring has its declared stiffness: low in the band of the modes."""
-
-
 @dataclass(frozen=True)
 class Pencil:
     """A(w) = K + j hysteresis + ln(w / w0) frequency_stiffness + j w (damping + Omega gyroscopic) - w^2 mass.
 
     Each (n, n) with derivatives; hysteresis and frequency_stiffness only where there is motion; w0 / (2 pi) is
-    `REFERENCE_FREQUENCY`.
+    `reference_frequency` [Hz].
     """
 
     mass: Dual
@@ -37,6 +33,12 @@ class Pencil:
     stiffness: Dual
     hysteresis: Dual
     frequency_stiffness: Dual
+    reference_frequency: float
+
+    def log_frequency_ratio(self, frequency: Array) -> Array:
+        """ln(w / w0) (k,) at frequencies [Hz]; zero at rest."""
+        moving = np.asarray(frequency, float) > 0
+        return np.where(moving, np.log(np.where(moving, frequency, 1.0) / self.reference_frequency), 0.0)
 
     def damping_derivative(self, spin: float) -> Array:
         """Derivatives (p, n, n) of the damping at rotor speed `spin` [Hz], gyroscopic terms included."""
@@ -106,6 +108,7 @@ def assemble_system(equations: Equations) -> System:
         stiffness=factor * (E.T @ springs + equations.extra_stiffness) + np.diag(equations.own_stiffness),
         hysteresis=factor * (E.T @ springs_loss),
         frequency_stiffness=factor * (E.T @ springs_frequency_stiffness),
+        reference_frequency=equations.reference_frequency,
     )
     return System(
         equations=equations,
@@ -118,12 +121,6 @@ def assemble_system(equations: Equations) -> System:
     )
 
 
-def log_frequency_ratio(frequency: Array) -> Array:
-    """ln(f / f0) (k,) of frequencies [Hz], f0 being `REFERENCE_FREQUENCY`; zero at rest."""
-    moving = np.asarray(frequency, float) > 0
-    return np.where(moving, np.log(np.where(moving, frequency, 1.0) / REFERENCE_FREQUENCY), 0.0)
-
-
 def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float) -> ComplexArray:
     """A (k, n, n) at `frequency` (k,) [Hz] and rotor speed `spin` [Hz]."""
     w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
@@ -132,7 +129,8 @@ def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float) -> ComplexA
     if pencil.hysteresis.value.any():
         stiffness = stiffness + 1j * np.sign(w) * pencil.hysteresis.value
     if pencil.frequency_stiffness.value.any():
-        stiffness = stiffness + log_frequency_ratio(frequency)[:, None, None] * pencil.frequency_stiffness.value
+        ratio = pencil.log_frequency_ratio(frequency)[:, None, None]
+        stiffness = stiffness + ratio * pencil.frequency_stiffness.value
     return np.asarray(stiffness + 1j * w * damping - w**2 * pencil.mass.value)
 
 
@@ -142,6 +140,6 @@ def complex_readings(system: System, frequency: Array) -> ComplexArray:
     if system.readings_loss.value.any():
         readings = readings + 1j * np.sign(frequency)[:, None, None] * system.readings_loss.value
     if system.readings_frequency_stiffness.value.any():
-        ratio = log_frequency_ratio(frequency)[:, None, None]
+        ratio = system.pencil.log_frequency_ratio(frequency)[:, None, None]
         readings = readings + ratio * system.readings_frequency_stiffness.value
     return np.broadcast_to(readings, (len(frequency), *readings.shape[-2:]))

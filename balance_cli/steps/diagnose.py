@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.diagnosis.common_load_gain import judge_common_load_gain
 from balance_cli.diagnosis.conclusions import (
     decide_verdict,
@@ -32,7 +33,6 @@ from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
-from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.steps.identify import build_identified_model, identified_effects
 

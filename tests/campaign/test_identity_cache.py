@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.campaign.rig.identity_cache import MAX_KEPT, cached_by_identity
-from balance_cli.model.effects.geometry_scales import stiffness_by_motion
+from balance_cli.campaign.rig.rig_scales import stiffness_by_motion
 from tests.support.rigs import two_degrees_of_freedom
 
 

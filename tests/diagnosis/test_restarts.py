@@ -3,6 +3,7 @@
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.campaign.rig.rig_scales import inertia_by_motion, stiffness_by_motion
 from balance_cli.diagnosis.search import search
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
 from balance_cli.diagnosis.search.restarts import restart_one_by_one, restarted_values
@@ -11,7 +12,6 @@ from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
-from balance_cli.model.effects.geometry_scales import inertia_by_motion, stiffness_by_motion
 from tests.support.model_lines import model_lines
 from tests.support.rigs import two_degrees_of_freedom
 

@@ -18,6 +18,7 @@ from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system_response import load_response, response, solve
 from balance_cli.model.transient_modes import transient_modes
 from tests.support.rigs import angular_frequency, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
+from tests.support.scaled import Scale
 
 FREQUENCY = np.concatenate([[0.0], np.linspace(2.0, 150.0, 60)])
 
@@ -192,6 +193,8 @@ def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():
 # ---- structural damping ----------------------------------------------------------------------------------------------
 
 LOSS = 0.01
+REFERENCE = np.sqrt(4e5 / 10.0) / (2 * np.pi)
+"""The frequency [Hz] in the middle of the modes of a rig that has one."""
 
 
 def lossy(causality):
@@ -206,11 +209,24 @@ def test_response_with_structural_damping(causality):
     system = lossy(causality).system()
     T = response(system, solve(system, FREQUENCY))[:, 0, 2]
     w, k, m = angular_frequency(FREQUENCY[1:]), 4e5, 10.0
-    rising = causality * 2 / np.pi * LOSS * np.log(FREQUENCY[1:] / 20.0)
+    rising = causality * 2 / np.pi * LOSS * np.log(FREQUENCY[1:] / REFERENCE)
     spring = k * (1 + 1j * LOSS + rising)
     gain = T[0] / 1.0
     expected = gain * spring / (spring - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
     np.testing.assert_allclose(T[1:], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("time", [10.0, 0.01])
+def test_structural_damping_does_not_depend_on_the_unit_of_time(time):
+    """The spring has its declared stiffness in the middle of the modes, at another frequency on a slower rig."""
+    values = {"loss_factor": 0.03, "causality": 1.0}
+    effect = DeclaredEffect(name="structural-damping", where=("all",), parameters=values)
+    plain = rotor_balance()
+    rigs = [rig.model_copy(update={"effects": (effect,)}) for rig in (plain, Scale(time, 1.0, 1.0).geometry(plain))]
+    first, second = (balance_model(rig).system() for rig in rigs)
+    frequency = np.array([0.0, 5.0, 31.0, 120.0])
+    one, other = response(first, solve(first, frequency)), response(second, solve(second, frequency / time))
+    np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-9 * np.abs(one).max())
 
 
 def test_modes_and_transients_with_structural_damping_to_first_order():
@@ -219,7 +235,7 @@ def test_modes_and_transients_with_structural_damping_to_first_order():
     k, m, d = 4e5, 10.0, 2 * 0.02 * np.sqrt(4e6)
 
     def equation(s):
-        return m * s**2 + d * s + k * (1 + 2 / np.pi * LOSS * np.log(s / angular_frequency(20.0)))
+        return m * s**2 + d * s + k * (1 + 2 / np.pi * LOSS * np.log(s / angular_frequency(REFERENCE)))
 
     s = complex(-d / (2 * m), np.sqrt(k / m))
     for _ in range(20):

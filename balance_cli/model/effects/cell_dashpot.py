@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.effects.places import Where, each_cell
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations

@@ -15,8 +15,8 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import inertia_by_motion
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import inertia_by_motion
 from balance_cli.model.effects.places import Where, each_component_and_motion, unit_components
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations

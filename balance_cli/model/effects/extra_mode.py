@@ -28,8 +28,9 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import rig_frequency, rig_length
+from balance_cli.model.effects.geometry_scales import rig_length
 from balance_cli.model.effects.places import Where
 from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant, stack

@@ -1,4 +1,4 @@
-"""Stiffness, inertia and extent of a rig as declared: the scales of the effects' parameters."""
+"""Extent, loads and readings of a rig as declared: the scales of the effects' parameters."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.campaign.rig.identity_cache import cached_by_identity
-from balance_cli.campaign.rig.kinematics import motion_at
+from balance_cli.campaign.rig.rig_scales import inertia_by_motion
 from balance_cli.model.effects.base import EffectParameter
 
 Array = NDArray[np.float64]
@@ -29,24 +28,6 @@ def transverse_axes(axis: Array) -> tuple[Array, Array]:
     transverse = following - (following @ axis) * axis
     first = transverse / np.linalg.norm(transverse)
     return first, np.cross(axis, first)
-
-
-@cached_by_identity
-def stiffness_by_motion(geometry: Geometry) -> dict[str, float]:
-    """Stiffness of the cells against each motion x y z [N/m] psi theta phi [N m/rad] of the plate about the origin."""
-    rows = np.array([cell.direction @ motion_at(np.array(cell.position)) for cell in geometry.cells])
-    diagonal = np.array([cell.effective_stiffness for cell in geometry.cells]) @ rows**2
-    return dict(zip(FREEDOMS, diagonal.tolist(), strict=True))
-
-
-def inertia_by_motion(geometry: Geometry) -> dict[str, float]:
-    """Mass [kg] for x y z and moment of inertia [kg m2] about the origin for psi theta phi, of all bodies together."""
-    inertia = np.zeros((3, 3))
-    for body in geometry.bodies:
-        r = np.array(body.position)
-        inertia += body.inertia.tensor() + body.mass * (r @ r * np.eye(3) - np.outer(r, r))
-    mass = sum(body.mass for body in geometry.bodies)
-    return dict(zip(FREEDOMS, (mass, mass, mass, *np.diag(inertia)[::-1].tolist()), strict=True))
 
 
 def position_bound(geometry: Geometry) -> float:
@@ -82,13 +63,6 @@ def rig_length(geometry: Geometry) -> float:
     inertia = inertia_by_motion(geometry)
     gyration = np.sqrt(max(inertia[name] for name in FREEDOMS[3:]) / inertia["z"])
     return _largest_distance(geometry) or float(gyration) or 1.0
-
-
-def rig_frequency(geometry: Geometry) -> float:
-    """The frequency [Hz] in the middle of the rig's modes: geometric mean over its motions, each alone."""
-    stiffness, inertia = stiffness_by_motion(geometry), inertia_by_motion(geometry)
-    squares = [stiffness[name] / inertia[name] for name in geometry.freedom if stiffness[name] and inertia[name]]
-    return float(np.exp(0.5 * np.mean(np.log(squares))) / (2 * np.pi)) if squares else 1.0
 
 
 def load_range(geometry: Geometry, component: str) -> float:

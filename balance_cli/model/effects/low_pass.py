@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.effects.places import Where, channels_at, each_channel_or_group
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual

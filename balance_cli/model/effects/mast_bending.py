@@ -21,8 +21,8 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import stiffness_by_motion
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import stiffness_by_motion
 from balance_cli.model.effects.places import Where, nonempty_subsets
 from balance_cli.model.mechanics.dual_numbers import Dual, clip_below, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import Equations

@@ -14,13 +14,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import rig_frequency, stiffness_by_motion
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import (
-    attachment_position,
-    corner_positions,
-    rig_frequency,
-    stiffness_by_motion,
-)
+from balance_cli.model.effects.geometry_scales import attachment_position, corner_positions
 from balance_cli.model.effects.places import Where, whole_rig
 from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, stack

@@ -4,8 +4,8 @@
 
 The channels of the cell read the whole force. With a constant stiffness, r = 0, the law is not causal: a spring whose
 force lags by one angle at all frequencies must stiffen with frequency, r = 1, or its force precedes the elongation.
-Both terms are the real and the imaginary part of k (1 + (2 / pi) eta ln(s / w0)). w0 / (2 pi) is 20 Hz, the frequency
-at which k is the stiffness.
+Both terms are the real and the imaginary part of k (1 + (2 / pi) eta ln(s / w0)). w0 / (2 pi), the frequency at which k
+is the stiffness, is in the middle of the modes of the rig as declared: the geometric mean over its motions, each alone.
 """
 
 from __future__ import annotations

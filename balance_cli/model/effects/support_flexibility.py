@@ -24,9 +24,10 @@ import numpy as np
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.identity_cache import cached_by_identity
+from balance_cli.campaign.rig.rig_scales import inertia_by_motion, stiffness_by_motion
 from balance_cli.campaign.rig.torque_meter import FREEDOM_ABOUT
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, rig_length, stiffness_by_motion
+from balance_cli.model.effects.geometry_scales import position_bound, rig_length
 from balance_cli.model.effects.places import Where, nonempty_subsets
 from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, clip_below, concatenate, constant, stack

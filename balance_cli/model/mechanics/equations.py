@@ -138,7 +138,7 @@ class Equations:
 
     - `mass`, `damping`, `gyroscopic` (per rad/s of spin), `extra_stiffness` (n, n); `inputs` (n, 6) per unit hub load.
     - `elongation` (e, n) and `stiffness` (e,) of the springs, their loss factor `loss` (e,), and `frequency_stiffness`
-      (e,): the relative increase of stiffness for each factor e of frequency.
+      (e,): the relative increase of stiffness for each factor e of frequency, zero at `reference_frequency` [Hz].
     - `extra_readings` (e, n): forces that the channels of a spring read in addition to its own.
     - `exciter_cross_axis` (6, 6) transforms the loads that exciters apply, as measured, to true ones, and
       `weight_cross_axis` (6, 6) those of static runs.
@@ -164,6 +164,7 @@ class Equations:
     stiffness: Dual
     loss: Dual
     frequency_stiffness: Dual
+    reference_frequency: float
     extra_readings: Dual
     inputs: Dual
     paths: tuple[ChannelPath, ...]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.mechanics import MaxwellBranch, Mechanics, NonlinearCellForce
@@ -193,21 +194,18 @@ class ViscousDamping(Extension):
         return replace(mechanics, damping=mechanics.damping + rows.T @ (dashpots[:, None] * rows), cell_damping=inside)
 
 
-RELAXATION_FREQUENCIES = np.geomspace(0.1, 3000.0, 10)
-"""Relaxation frequencies [Hz] of the Maxwell branches, about two to a decade."""
-
-REFERENCE_FREQUENCY = 20.0
-"""Frequency [Hz] at which the chain does not change the cell's stiffness."""
+RELAXATION_RATIOS = np.geomspace(0.0025, 75.0, 10)
+"""Relaxation frequencies of the Maxwell branches, of that in the middle of the modes: about two to a decade."""
 
 
 @dataclass(frozen=True)
 class StructuralDamping(Extension):
-    """The cell's force lags its elongation by the `loss_factor` at every frequency from 2 to 300 Hz.
+    """The cell's force lags its elongation by the `loss_factor` at every frequency about that of the modes.
 
     A chain of Maxwell branches of equal stiffness `(2 / pi) eta k ln(ratio of adjacent rates)`, the causal
-    realization of `k (1 + j eta)`. It stiffens with frequency, by `(2 / pi) eta` for each factor e; at 20 Hz the
-    stiffness is that of the cell. The channels read the whole force. A time-domain model has no other choice:
-    `causality` is 1, whatever value is given.
+    realization of `k (1 + j eta)`. It stiffens with frequency, by `(2 / pi) eta` for each factor e; at the frequency
+    in the middle of the modes of the rig as declared the stiffness is that of the cell. The channels read the whole
+    force. A time-domain model has no other choice: `causality` is 1, whatever value is given.
     """
 
     name: ClassVar[str] = "structural-damping"
@@ -216,13 +214,13 @@ class StructuralDamping(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """The equations with the branches of each cell."""
-        share = 2 / np.pi * self.loss_factor * np.log(RELAXATION_FREQUENCIES[1] / RELAXATION_FREQUENCIES[0])
-        stored = share * np.sum(1 / (1 + (RELAXATION_FREQUENCIES / REFERENCE_FREQUENCY) ** 2))
+        share = 2 / np.pi * self.loss_factor * np.log(RELAXATION_RATIOS[1] / RELAXATION_RATIOS[0])
+        stored = share * np.sum(1 / (1 + RELAXATION_RATIOS**2))
         stiffness = mechanics.cell_stiffness.copy()
         branches = []
         for index in self.places(geometry.cell_names):
             k = mechanics.cell_stiffness[index]
             stiffness[index] = k * (1 - stored)
-            taus = 1 / (2 * np.pi * RELAXATION_FREQUENCIES)
+            taus = 1 / (2 * np.pi * rig_frequency(geometry) * RELAXATION_RATIOS)
             branches += [MaxwellBranch(mechanics.cell_rows[index], float(share * k), float(tau), index) for tau in taus]
         return replace(mechanics, cell_stiffness=stiffness, branches=(*mechanics.branches, *branches))
