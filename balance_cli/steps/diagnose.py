@@ -25,6 +25,7 @@ from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, 
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from balance_cli.diagnosis.worse_update import refuse_worse_update
 from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift, share_with_contacts
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.deadline import Deadline
@@ -62,10 +63,10 @@ def diagnose(
     batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
     quality = model_quality(*before, batches)
     update = update_model(*start, spectra, batches, effect_labels(before[0]), announce, settings)
+    update = refuse_worse_update(*start, batches, update, settings)
     exclusion = _exclusion(start, spectra, batches, update, announce, settings)
     if exclusion is not None:
-        trials = (*update.trials, *exclusion.update.trials)
-        spectra, batches, update = exclusion.spectra, exclusion.batches, replace(exclusion.update, trials=trials)
+        spectra, batches, update = exclusion.spectra, exclusion.batches, exclusion.update
     fit, after = update.fit, (update.fit.model, update.fit.theta)
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
     updated = replace(updated, band=model.band)
@@ -150,7 +151,11 @@ def _exclusion(
     if update.is_good:
         return None
     residual = residual_map(batches, before, (update.fit.model, update.fit.theta), settings.residual_map)
-    return find_exclusion(*before, spectra, residual, announce, settings)
+    exclusion = find_exclusion(*before, spectra, residual, announce, settings)
+    if exclusion is None:
+        return None
+    trials = (*update.trials, *exclusion.update.trials)
+    return replace(exclusion, update=replace(exclusion.update, trials=trials))
 
 
 def _lowest_mode(model: IdentifiedModel) -> float:
