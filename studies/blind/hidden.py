@@ -27,21 +27,21 @@ class Hidden:
 Cause = Callable[[Truth, np.random.Generator], Hidden]
 
 
-def _draw_channel(truth: Truth, rng: np.random.Generator) -> int:
+def draw_channel(truth: Truth, rng: np.random.Generator) -> int:
     cells = [i for i, channel in enumerate(truth.rig.channels) if channel.cell >= 0]
     return int(rng.choice(cells))
 
 
-def _point_rows(p: Array) -> Array:
+def point_rows(p: Array) -> Array:
     return np.hstack([np.eye(3), -cross(p)])
 
 
-def _padded(matrix: Array, size: int) -> Array:
+def padded(matrix: Array, size: int) -> Array:
     left = size - len(matrix)
     return np.pad(matrix, ((0, left), (0, left)))
 
 
-def _largest_elongation(truth: Truth) -> float:
+def largest_elongation(truth: Truth) -> float:
     """Static elongation of a cell under 2 % of the weight, about what the sweeps reach."""
     return 0.06 * truth.rig.mass * 9.81 / float(np.mean(truth.rig.stiffness))
 
@@ -53,21 +53,21 @@ def nothing(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 def channel_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A wrong sensitivity."""
-    i, gain = _draw_channel(truth, rng), 1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.05)
+    i, gain = draw_channel(truth, rng), 1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.05)
     dynamics = {**truth.dynamics, i: lambda f: np.full(len(f), gain, complex)}
     return Hidden(f"channel-gain@{truth.rig.channels[i].name}", {"gain": gain}, replace(truth, dynamics=dynamics))
 
 
 def time_delay(truth: Truth, rng: np.random.Generator) -> Hidden:
     """One channel late."""
-    i, delay = _draw_channel(truth, rng), rng.uniform(0.1, 0.8) / truth.rig.sample_rate
+    i, delay = draw_channel(truth, rng), rng.uniform(0.1, 0.8) / truth.rig.sample_rate
     dynamics = {**truth.dynamics, i: lambda f: np.exp(-2j * np.pi * f * delay)}
     return Hidden(f"time-delay@{truth.rig.channels[i].name}", {"delay": delay}, replace(truth, dynamics=dynamics))
 
 
 def low_pass(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A long cable."""
-    i, cutoff = _draw_channel(truth, rng), truth.rig.modes[-1] * rng.uniform(2, 6)
+    i, cutoff = draw_channel(truth, rng), truth.rig.modes[-1] * rng.uniform(2, 6)
     dynamics = {**truth.dynamics, i: lambda f: 1 / (1 + 1j * f / cutoff)}
     return Hidden(f"low-pass@{truth.rig.channels[i].name}", {"cutoff": cutoff}, replace(truth, dynamics=dynamics))
 
@@ -106,15 +106,15 @@ def added_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A mass far from the center."""
     m = truth.rig.mass * rng.uniform(0.05, 0.15)
     p = truth.rig.radius * rng.uniform([-1, -1, 0.5], [1, 1, 2])
-    M = truth.mechanics.M + _padded(mass_matrix(m, p, np.zeros((3, 3))), truth.mechanics.size)
+    M = truth.mechanics.M + padded(mass_matrix(m, p, np.zeros((3, 3))), truth.mechanics.size)
     return Hidden("added-mass", {"mass": m}, replace(truth, mechanics=replace(truth.mechanics, M=M)))
 
 
 def parallel_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A hose."""
     k = np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.05, 3)
-    N = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
-    K = truth.mechanics.K + _padded(N.T @ np.diag(k) @ N, truth.mechanics.size)
+    N = point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
+    K = truth.mechanics.K + padded(N.T @ np.diag(k) @ N, truth.mechanics.size)
     parameters = {f"stiffness_{axis}": float(value) for axis, value in zip("xyz", k, strict=True)}
     return Hidden("parallel-stiffness", parameters, replace(truth, mechanics=replace(truth.mechanics, K=K)))
 
@@ -124,9 +124,9 @@ def transverse_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
     k = float(np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.03))
     K = np.zeros((6, 6))
     for p, a in zip(truth.rig.position, truth.rig.axis, strict=True):
-        N = _point_rows(p)
+        N = point_rows(p)
         K += k * N.T @ (np.eye(3) - np.outer(a, a)) @ N
-    mechanics = replace(truth.mechanics, K=truth.mechanics.K + _padded(K, truth.mechanics.size))
+    mechanics = replace(truth.mechanics, K=truth.mechanics.K + padded(K, truth.mechanics.size))
     return Hidden("transverse-stiffness@all", {"stiffness": k}, replace(truth, mechanics=mechanics))
 
 
@@ -158,8 +158,8 @@ def cell_dashpot(truth: Truth, rng: np.random.Generator) -> Hidden:
 def parallel_dashpot(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A damper between plate and ground."""
     d = np.mean(truth.rig.stiffness) * _loss_at_modes(truth, rng) * rng.uniform(0.3, 1, 3)
-    N = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
-    D = truth.mechanics.D + _padded(N.T @ np.diag(d) @ N, truth.mechanics.size)
+    N = point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
+    D = truth.mechanics.D + padded(N.T @ np.diag(d) @ N, truth.mechanics.size)
     parameters = {f"damping_{axis}": float(value) for axis, value in zip("xyz", d, strict=True)}
     return Hidden("parallel-dashpot", parameters, replace(truth, mechanics=replace(truth.mechanics, D=D)))
 
@@ -203,7 +203,7 @@ def tuned_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A cable that swings along one axis at a point of the plate."""
     axis, m = int(rng.integers(0, 3)), truth.rig.mass * rng.uniform(0.003, 0.02)
     f = float(np.exp(rng.uniform(*np.log(truth.rig.modes[[0, -1]]))))
-    row = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))[axis]
+    row = point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))[axis]
     k, d = m * (2 * np.pi * f) ** 2, 2 * 0.03 * m * 2 * np.pi * f
     mechanics = add_coordinate(truth.mechanics, m, 0.0, 0.0)
     across = np.zeros(mechanics.size)
@@ -216,7 +216,7 @@ def tuned_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 def mains_pickup(truth: Truth, rng: np.random.Generator) -> Hidden:
     """Hum in one channel."""
-    i = _draw_channel(truth, rng)
+    i = draw_channel(truth, rng)
     amplitude = 1e-4 * truth.rig.channels[i].sensitivity * truth.rig.mass * 9.81 * rng.uniform(0.5, 3)
     frequency = 50 + rng.uniform(-0.1, 0.1)
     return Hidden(
@@ -228,15 +228,15 @@ def mains_pickup(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 def cubic_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A spring beside a cell that hardens."""
-    i, d = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth)
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth)
     k3 = truth.rig.stiffness[i] / d**2 * rng.uniform(0.01, 0.05)
     law = Law(i, lambda d, state: k3 * d**3)
-    return _beside(truth, law, f"cubic-stiffness@c{i + 1},beside", {"k3": k3})
+    return beside(truth, law, f"cubic-stiffness@c{i + 1},beside", {"k3": k3})
 
 
 def dry_friction(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A seal beside a cell that slips."""
-    i, d = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth)
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth)
     force = truth.rig.stiffness[i] * d * rng.uniform(0.01, 0.05)
     kappa = 0.1 * truth.rig.stiffness[i]
 
@@ -244,18 +244,18 @@ def dry_friction(truth: Truth, rng: np.random.Generator) -> Hidden:
         return np.clip(slider, elongation - force / kappa, elongation + force / kappa)
 
     law = Law(i, lambda d, slider: np.clip(kappa * (d - slider), -force, force), advance)
-    return _beside(truth, law, f"dry-friction@c{i + 1}", {"force": force})
+    return beside(truth, law, f"dry-friction@c{i + 1}", {"force": force})
 
 
 def free_play(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A stop beside a cell that is reached at large motions only."""
-    i, gap = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth) * rng.uniform(0.1, 0.3)
+    i, gap = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth) * rng.uniform(0.1, 0.3)
     k = 0.2 * truth.rig.stiffness[i]
     law = Law(i, lambda d, state: k * (np.maximum(d - gap, 0) + np.minimum(d + gap, 0)))
-    return _beside(truth, law, f"free-play@c{i + 1}", {"stiffness": k, "gap": gap})
+    return beside(truth, law, f"free-play@c{i + 1}", {"stiffness": k, "gap": gap})
 
 
-def _beside(truth: Truth, law: Law, label: str, parameters: dict[str, float]) -> Hidden:
+def beside(truth: Truth, law: Law, label: str, parameters: dict[str, float]) -> Hidden:
     mechanics = replace(truth.mechanics, laws=(*truth.mechanics.laws, law))
     return Hidden(label, parameters, replace(truth, mechanics=mechanics))
 
@@ -283,65 +283,15 @@ def exciter_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
             return mechanics
         B = mechanics.B
         added = sum(masses[i] * np.outer(B[:6, i % 3], B[:6, i % 3]) for i in record.excited)
-        return replace(mechanics, M=mechanics.M + _padded(np.asarray(added), mechanics.size))
+        return replace(mechanics, M=mechanics.M + padded(np.asarray(added), mechanics.size))
 
     return Hidden("", {}, replace(truth, per_run=per_run))
 
 
 def drifting_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
     """Unknown: the gain of a channel changes within each record."""
-    i = _draw_channel(truth, rng)
+    i = draw_channel(truth, rng)
     return Hidden("", {}, replace(truth, drift={i: rng.uniform(0.01, 0.04)}))
-
-
-def relaxing_hose(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: a rubber hose, three springs beside springs in series with dashpots."""
-    N = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
-    k = np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.03, 3)
-    K = _padded(N.T @ np.diag(k) @ N, truth.mechanics.size)
-    time = 1 / (2 * np.pi * float(np.exp(np.mean(np.log(truth.rig.modes)))) * rng.uniform(0.3, 3))
-    mechanics = replace(truth.mechanics, K=truth.mechanics.K + K, relaxing=((rng.uniform(0.3, 1.5) * K, time),))
-    return Hidden("", {}, replace(truth, mechanics=mechanics))
-
-
-def bilinear_cell(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: a spring beside a cell that acts in compression only."""
-    i = int(rng.integers(0, len(truth.rig.stiffness)))
-    k = truth.rig.stiffness[i] * rng.uniform(0.01, 0.05)
-    law = Law(i, lambda d, state: k * np.minimum(d, 0))
-    return _beside(truth, law, "", {})
-
-
-def close_tuned_masses(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: two cables that swing at frequencies within 4 % of each other."""
-    f = float(np.exp(rng.uniform(*np.log(truth.rig.modes[[0, -1]]))))
-    mechanics, size = truth.mechanics, truth.mechanics.size
-    for factor in (1.0, 1 + rng.uniform(0.01, 0.04)):
-        m = truth.rig.mass * rng.uniform(0.003, 0.01)
-        row = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))[int(rng.integers(0, 3))]
-        k, d = m * (2 * np.pi * factor * f) ** 2, 2 * 0.02 * m * 2 * np.pi * factor * f
-        mechanics = add_coordinate(mechanics, m, 0.0, 0.0)
-        across = np.zeros(mechanics.size)
-        across[:6], across[-1] = row, -1
-        mechanics = replace(
-            mechanics, K=mechanics.K + k * np.outer(across, across), D=mechanics.D + d * np.outer(across, across)
-        )
-    assert mechanics.size == size + 2
-    return Hidden("", {}, replace(truth, mechanics=mechanics))
-
-
-def two_seals(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: two seals beside a cell, one of which slips ten times as late as the other."""
-    i, d = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth)
-    force, kappa = truth.rig.stiffness[i] * d * rng.uniform(0.005, 0.02), 0.1 * truth.rig.stiffness[i]
-    for limit in (force, 10 * force):
-        law = Law(
-            i,
-            lambda x, slider, limit=limit: np.clip(kappa * (x - slider), -limit, limit),  # type: ignore[misc]
-            lambda x, slider, limit=limit: np.clip(slider, x - limit / kappa, x + limit / kappa),  # type: ignore[misc]
-        )
-        truth = _beside(truth, law, "", {}).truth
-    return Hidden("", {}, truth)
 
 
 def late_clock(truth: Truth, rng: np.random.Generator) -> Hidden:
@@ -353,7 +303,7 @@ def late_clock(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 def saturation(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A channel saturates softly."""
-    i = _draw_channel(truth, rng)
+    i = draw_channel(truth, rng)
     limit = truth.rig.channels[i].sensitivity * 0.1 * truth.rig.mass * 9.81 * rng.uniform(1, 3)
     label = f"saturation@{truth.rig.channels[i].name}"
     return Hidden(label, {"compression": limit**-2}, replace(truth, saturation={i: limit}))
@@ -379,6 +329,4 @@ NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
 # Most of them no effect describes.
 MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot)
 """Effects that the first sixty campaigns did not draw."""
-UNKNOWN: tuple[Cause, ...] = (relaxing_hose, bilinear_cell, close_tuned_masses, two_seals)
-"""Causes that no effect describes, and that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -25,11 +25,15 @@ STEP_ANGLE = 0.12
 
 @dataclass(frozen=True)
 class Law:
-    """A force beside a cell: `force(elongation, state)` and, with memory, what becomes of the state in a step."""
+    """A force beside a cell: `force(elongation, state)` and, with memory, what becomes of the state in a step.
+
+    `damping(rate)` is a force of the rate of elongation, which vanishes at rest.
+    """
 
     cell: int
     force: Callable[[Array, Array], Array]
     advance: Callable[[Array, Array], Array] = lambda d, state: state
+    damping: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -144,13 +148,17 @@ def nonlinear_forces(mechanics: Mechanics, loads: Array, rate: float, start: Arr
     into = np.hstack([np.zeros((6, n)), (inverse @ mechanics.B).T])
     pull = [np.concatenate([np.zeros(n), -inverse @ mechanics.E[law.cell]]) for law in mechanics.laws]
     rows = [np.concatenate([mechanics.E[law.cell], np.zeros(n)]) for law in mechanics.laws]
+    rates = [np.roll(row, n) for row in rows]
     h, x = 1 / rate, np.hstack([start, np.zeros_like(start)])
     states = [np.zeros(len(x)) for _ in mechanics.laws]
 
     def slope(x: Array, u: Array) -> Array:
         result = x @ A + u
-        for law, row, p, state in zip(mechanics.laws, rows, pull, states, strict=True):
-            result += np.multiply.outer(law.force(x @ row, state), p)
+        for law, row, rate, p, state in zip(mechanics.laws, rows, rates, pull, states, strict=True):
+            force = law.force(x @ row, state)
+            if law.damping is not None:
+                force = force + law.damping(x @ rate)
+            result += np.multiply.outer(force, p)
         return result
 
     out = np.empty((len(loads) // 2, len(x), n))

@@ -56,6 +56,8 @@ class Truth:
     rig: Rig
     mechanics: Mechanics
     per_run: Callable[[Mechanics, Record], Mechanics] = lambda mechanics, record: mechanics
+    at_the_end: Callable[[Mechanics], Mechanics] | None = None
+    """What becomes of the mechanics in the course of a record, so slowly that each instant is that of a steady rig."""
     exciter: Array = field(default_factory=lambda: np.eye(6))
     load_offset: Array = field(default_factory=lambda: np.zeros(6))
     dynamics: dict[int, Callable[[Array], ComplexArray]] = field(default_factory=dict)
@@ -64,6 +66,7 @@ class Truth:
     drift: dict[int, float] = field(default_factory=dict)
     late_clock: dict[int, float] = field(default_factory=dict)
     saturation: dict[int, float] = field(default_factory=dict)
+    converter: dict[int, Callable[[Array], Array]] = field(default_factory=dict)
     mains: dict[int, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -111,6 +114,8 @@ def simulate_records(truth: Truth, records: list[Record], noise: float, rng: np.
             time = np.arange(len(volts)) / truth.rig.sample_rate
             gain = abs(anti_alias(truth.rig, np.array([frequency]))[0])
             volts[:, channel] += gain * amplitude * np.cos(2 * np.pi * frequency * time + rng.uniform(0, 6.3))
+        for channel, codes in truth.converter.items():
+            volts[:, channel] = codes(volts[:, channel])
         result[record.name] = _content(truth, record, volts, loads, noise, rng)
     return result
 
@@ -131,7 +136,11 @@ def _convolved(truth: Truth, record: Record) -> tuple[Array, Array, int, int]:
     applied = (recorded - _offset(truth, record)) @ truth.exciter.T if record.kind != "wind" else recorded
     mechanics = truth.per_run(truth.mechanics, record)
     rate = truth.rig.sample_rate
-    return linear_forces(mechanics, applied, rate * OVERSAMPLING, record.spin, rate), recorded, before, OVERSAMPLING
+    forces = linear_forces(mechanics, applied, rate * OVERSAMPLING, record.spin, rate)
+    if truth.at_the_end is not None:
+        last = linear_forces(truth.at_the_end(mechanics), applied, rate * OVERSAMPLING, record.spin, rate)
+        forces = forces + np.clip(time / record.duration, 0, 1)[:, None] * (last - forces)
+    return forces, recorded, before, OVERSAMPLING
 
 
 def _offset(truth: Truth, record: Record) -> Array:

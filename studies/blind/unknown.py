@@ -1,0 +1,152 @@
+"""Causes that no effect of the library describes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.blind.hidden import Cause, Hidden, beside, draw_channel, largest_elongation, padded, point_rows
+from studies.blind.physics import Law, Mechanics, add_coordinate
+from studies.blind.records import Record, Truth
+
+Array = NDArray[np.float64]
+
+
+def relaxing_hose(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a rubber hose, three springs beside springs in series with dashpots."""
+    N = point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
+    k = np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.03, 3)
+    K = padded(N.T @ np.diag(k) @ N, truth.mechanics.size)
+    time = 1 / (2 * np.pi * float(np.exp(np.mean(np.log(truth.rig.modes)))) * rng.uniform(0.3, 3))
+    mechanics = replace(truth.mechanics, K=truth.mechanics.K + K, relaxing=((rng.uniform(0.3, 1.5) * K, time),))
+    return Hidden("", {}, replace(truth, mechanics=mechanics))
+
+
+def bilinear_cell(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a spring beside a cell that acts in compression only."""
+    i = int(rng.integers(0, len(truth.rig.stiffness)))
+    k = truth.rig.stiffness[i] * rng.uniform(0.01, 0.05)
+    law = Law(i, lambda d, state: k * np.minimum(d, 0))
+    return beside(truth, law, "", {})
+
+
+def close_tuned_masses(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: two cables that swing at frequencies within 4 % of each other."""
+    f = float(np.exp(rng.uniform(*np.log(truth.rig.modes[[0, -1]]))))
+    mechanics, size = truth.mechanics, truth.mechanics.size
+    for factor in (1.0, 1 + rng.uniform(0.01, 0.04)):
+        m = truth.rig.mass * rng.uniform(0.003, 0.01)
+        row = point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))[int(rng.integers(0, 3))]
+        k, d = m * (2 * np.pi * factor * f) ** 2, 2 * 0.02 * m * 2 * np.pi * factor * f
+        mechanics = add_coordinate(mechanics, m, 0.0, 0.0)
+        across = np.zeros(mechanics.size)
+        across[:6], across[-1] = row, -1
+        mechanics = replace(
+            mechanics, K=mechanics.K + k * np.outer(across, across), D=mechanics.D + d * np.outer(across, across)
+        )
+    assert mechanics.size == size + 2
+    return Hidden("", {}, replace(truth, mechanics=mechanics))
+
+
+def two_seals(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: two seals beside a cell, one of which slips ten times as late as the other."""
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth)
+    force, kappa = truth.rig.stiffness[i] * d * rng.uniform(0.005, 0.02), 0.1 * truth.rig.stiffness[i]
+    for limit in (force, 10 * force):
+        law = Law(
+            i,
+            lambda x, slider, limit=limit: np.clip(kappa * (x - slider), -limit, limit),  # type: ignore[misc]
+            lambda x, slider, limit=limit: np.clip(slider, x - limit / kappa, x + limit / kappa),  # type: ignore[misc]
+        )
+        truth = beside(truth, law, "", {}).truth
+    return Hidden("", {}, truth)
+
+
+def warming_cells(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: two cells soften in the course of each record, and are cold again at the start of the next."""
+    pair, share = rng.choice(len(truth.rig.stiffness), 2, replace=False), rng.uniform(0.01, 0.05)
+
+    def warm(mechanics: Mechanics) -> Mechanics:
+        k = mechanics.stiffness.copy()
+        k[pair] *= 1 - share
+        return replace(mechanics, stiffness=k)
+
+    return Hidden("", {}, replace(truth, at_the_end=warm))
+
+
+def spinning_mode(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a part of the rotor swings along one axis, the faster the stiffer."""
+    axis, m = int(rng.integers(0, 2)), truth.rig.mass * rng.uniform(0.01, 0.03)
+    f = float(np.exp(rng.uniform(*np.log(truth.rig.modes[[0, -1]]))))
+    row, growth = point_rows(truth.rig.hub)[axis], rng.uniform(1.5, 3.0)
+    bare = add_coordinate(truth.mechanics, m, 0.0, 0.0)
+    across = np.zeros(bare.size)
+    across[:6], across[-1] = row, -1
+
+    def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
+        w2 = (2 * np.pi * f) ** 2 + growth * record.spin**2
+        spring = m * w2 * np.outer(across, across)
+        damper = 2 * 0.02 * m * np.sqrt(w2) * np.outer(across, across)
+        return replace(mechanics, K=bare.K + spring, D=bare.D + damper)
+
+    rest = Record("", "static", 0.0, lambda time: np.zeros((len(time), 6)), {})
+    return Hidden("", {}, replace(truth, mechanics=per_run(bare, rest), per_run=per_run))
+
+
+def loosened_bolt(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: one cell loses stiffness half-way through the sweeps, and stays so in all later records."""
+    cell, share = int(rng.integers(0, len(truth.rig.stiffness))), rng.uniform(0.02, 0.2)
+
+    def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
+        before = record.kind == "zero" or (record.kind == "sweep" and min(record.excited) < 2)
+        k = mechanics.stiffness.copy()
+        k[cell] *= 1 if before else 1 - share
+        return replace(mechanics, stiffness=k)
+
+    return Hidden("", {}, replace(truth, per_run=per_run))
+
+
+def common_supply(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: all channels share the impedance of a supply: each reads a share of the sum of all."""
+    share, count = rng.uniform(0.001, 0.005), len(truth.rig.channels)
+    mix = {(a, b): share for a in range(count) for b in range(count)}
+    return Hidden("", {}, replace(truth, mix=mix))
+
+
+def missing_codes(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: the converter of a channel lacks a quarter of its codes."""
+    i = draw_channel(truth, rng)
+    step = truth.rig.channels[i].sensitivity * 0.2 * truth.rig.mass * 9.81 * 2.0 ** -rng.integers(10, 13)
+
+    def converted(volts: Array) -> Array:
+        code = np.round(volts / step)
+        place = np.mod(code, 64)
+        return np.asarray(step * np.where(place < 16, code - place + 16, code))
+
+    return Hidden("", {}, replace(truth, converter={i: converted}))
+
+
+def square_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a damper beside a cell whose force grows with the square of the velocity."""
+    i = int(rng.integers(0, len(truth.rig.stiffness)))
+    middle = 2 * np.pi * float(np.exp(np.mean(np.log(truth.rig.modes))))
+    d = largest_elongation(truth)
+    c = truth.rig.stiffness[i] / (middle**2 * d) * float(np.exp(rng.uniform(*np.log([0.01, 0.1]))))
+    law = Law(i, lambda d, state: np.zeros_like(d), damping=lambda v: c * np.abs(v) * v)
+    return beside(truth, law, "", {})
+
+
+UNKNOWN: tuple[Cause, ...] = (
+    relaxing_hose,
+    bilinear_cell,
+    close_tuned_masses,
+    two_seals,
+    warming_cells,
+    spinning_mode,
+    loosened_bolt,
+    common_supply,
+    missing_codes,
+    square_damping,
+)
