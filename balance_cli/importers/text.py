@@ -38,7 +38,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     columns = find_columns(text, is_whole, encoding, layout)
     rows, notes = index_rows(path, columns)
     scalars = {} if columns.stated_rate is None else {"sample_rate": columns.stated_rate}
-    dense = [k for k in (*columns.numeric, *columns.clock) if k not in columns.sparse]
+    dense = [k for k in sorted((*columns.numeric, *columns.clock)) if k not in columns.sparse]
     parts = parts_by_time(dense, columns.times)
     groups = [_group(path, columns, rows, part, columns.times) for part in parts if part]
     for place in dict.fromkeys(columns.sparse.values()):

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
 from balance_cli.importers.text_clock import CLOCK
 from balance_cli.importers.text_names import KEY, counts_rows, names_and_units
 from balance_cli.importers.time_columns import time_columns
@@ -100,8 +101,10 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         first += first == 0 and _is_row_of_numbers_as_names(rows, decimal)
         _require_one_block(rows[:first], decimal)
         _require_plausible_shape(rows, first, separator, is_whole)
-    names, units = names_and_units(rows[:first], rows[first:], layout)
+    header, rate = without_clock_cells(rows[:first])
+    names, units = names_and_units(header, rows[first:], layout)
     numeric, clock = _column_kinds(rows[first:], decimal, names)
+    numeric, names = _without_sample_numbers(numeric, names, units)
     cells = {column: [row[column] for row in rows[first:] if len(row) > column] for column in numeric}
     if layout.decimal is None:
         for column in numeric:
@@ -114,8 +117,16 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
     return Columns(
         *(encoding, separator, decimal, first, names, units, numeric, clock),
-        *(_stated_rate(lines[:first]), sparse, times, sign),
+        *(rate or _stated_rate(lines[:first]), sparse, times, sign),
     )
+
+
+def _without_sample_numbers(
+    numeric: Sequence[int], names: Sequence[str], units: Sequence[str]
+) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Columns of numbers and names of all, without those that count the samples."""
+    kept = tuple(column for column in numeric if not counts_samples(units[column]))
+    return kept, tuple("" if counts_samples(unit) else name for name, unit in zip(names, units, strict=True))
 
 
 def _is_row_of_numbers_as_names(rows: Sequence[Sequence[str]], decimal: str) -> bool:
@@ -157,7 +168,8 @@ def _require_one_block(header: Sequence[Sequence[str]], decimal: str) -> None:
     run = 0
     for row, cells in enumerate(header):
         values = [cell for cell in cells if not is_missing(cell)]
-        run = run + 1 if len(values) > 1 and all(is_number(cell, decimal) for cell in values) else 0
+        are_data = all(is_number(cell, decimal) or CLOCK.match(cell) for cell in values)
+        run = run + 1 if len(values) > 1 and are_data else 0
         if run == FEWEST_BLOCK_ROWS:
             fault = f"has several blocks of rows, one from row {row + 2 - run} and one behind row {len(header)}"
             remedy = "Save each block as a file of its own, or state `first_row` of the last one under `text`"

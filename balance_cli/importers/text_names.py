@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.scope_heads import counts_samples
+from balance_cli.importers.text_clock import CLOCK
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_cells import REMARKS
 from balance_cli.io.text_numbers import is_missing, is_number
@@ -45,11 +47,14 @@ def names_and_units(header: Rows, data: Rows, layout: TextLayout) -> tuple[tuple
     name_row = layout.name_row - 1 if layout.name_row else _best_names(rows, rest, None if is_keyed else unit_row)
     shift = 0 if layout.name_row or name_row is None else _shift(rows[name_row], data, width)
     names = _padded(rows, name_row, width, shift)
-    if name_row is not None and not layout.name_row:
-        names = _completed(names, [_padded(rows, k, width, shift) for k in reversed(rest) if k < name_row])
+    above = [_padded(rows, k, width, shift) for k in reversed(rest) if name_row is not None and k < name_row]
+    if not layout.name_row:
+        names = _completed(names, above)
     units = _padded(rows, unit_row, width, shift if unit_row is not None and len(rows[unit_row]) < width else 0)
     units = ["", *units[1:]] if is_keyed else units
     pairs = [split_unit(name.lstrip("#").strip()) for name in names]
+    if not layout.name_row:
+        pairs = _distinguished(pairs, above)
     shown = tuple(name if any(names) else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
     from_names = [unit or "" for _, unit in pairs]
     return shown, tuple(_strip_unit(unit) or own for unit, own in zip(units, from_names, strict=True))
@@ -106,6 +111,24 @@ def _completed(names: list[str], above: Sequence[list[str]]) -> list[str]:
     return [name or next((row[k] for row in above if row[k]), "") for k, name in enumerate(names)]
 
 
+def _distinguished(pairs: list[tuple[str, str | None]], above: Rows) -> list[tuple[str, str | None]]:
+    """Names with their units; equal ones from the nearest row above that tells them apart, such as that of channels."""
+    names = [name for name, _ in pairs]
+    equal = [k for k, name in enumerate(names) if name and names.count(name) > 1]
+    for row in above:
+        cells = [row[k] for k in equal]
+        if len(set(cells)) == len(cells) and not any(_is_value(cell) for cell in cells):
+            own = dict(zip(equal, (split_unit(cell) for cell in cells), strict=True))
+            units = [unit or own.get(k, ("", None))[1] for k, (_, unit) in enumerate(pairs)]
+            return [(own[k][0] if k in own else names[k], unit) for k, unit in enumerate(units)]
+    return pairs
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell of a head is empty, or a number or a time, and no name."""
+    return not cell or _is_any_number(cell) or bool(CLOCK.match(cell))
+
+
 def _shift(names: Sequence[str], data: Rows, width: int) -> int:
     """By how many columns the names stand too far left: a first column of row numbers, or an empty one, has none."""
     if len(names) != width - 1 or not any(row[-1] for row in data if len(row) == width):
@@ -140,9 +163,9 @@ def _are_units(row: Sequence[str]) -> bool:
 
     A first cell that says what the others are, as LabVIEW writes it, does not count.
     """
-    row = row[1:] if _says_units(row) else row
+    row = row[1:] if _says_units(row) or (row and counts_samples(row[0])) else row
     cells = [_strip_unit(cell.lstrip("#")) for cell in row if cell and not is_missing(cell)]
-    units = [cell for cell in cells if is_unit(cell)]
+    units = [cell for cell in cells if is_unit(cell) and not _is_any_number(cell)]  # settings are numbers, and 1 a unit
     least = UNIT_SHARE * len(cells)
     return len(units) > least or (len(units) >= least and len(set(units)) < len(units))
 

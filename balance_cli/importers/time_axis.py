@@ -18,6 +18,8 @@ SHIFT_WINDOW = 512
 LARGEST_SHIFT = 0.2
 """Samples, and steps by which their mean may be off the line: rounding averages out, and a missing sample in the middle
 of a record puts the means on either side off by up to half a step."""
+LARGEST_REPEATED_SHARE = 0.5
+"""Of the times; where more are equal to the one before, their last digit is longer than two steps."""
 NOTED_SCATTER = 0.02
 """Steps of scatter from which a note is made."""
 WHOLE_RATE_TOLERANCE = 3e-6
@@ -93,9 +95,12 @@ def _scatter(read: ReadBlock, samples: int, first: float, step: float, begin: fl
         errors = (times - begin) / step - np.arange(start, start + len(times))
         largest = max(largest, float(np.abs(errors).max()))
         if largest > LARGEST_SCATTER or _largest_mean(errors) > LARGEST_SHIFT:
-            jumps = np.abs(np.diff(times if before is None else np.concatenate([[before], times])) / step - 1.0)
+            steps = np.diff(times if before is None else np.concatenate([[before], times]))
+            jumps = np.abs(steps / step - 1.0)
             place = f"sample {start + int(np.argmax(jumps)) + (2 if before is None else 1)}"
             fault = f"the times are not even: {largest:.3g} steps off a straight line"
+            if np.mean(steps == 0.0) > LARGEST_REPEATED_SHARE:
+                fault += " (most are equal to the one before: they have too few digits to tell a gap from rounding)"
             raise UserError(fault, place=place, remedy="Cut the record at the gap, or give the sample rate in the map")
         before = times[-1]
     return largest

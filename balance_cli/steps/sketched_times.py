@@ -13,8 +13,8 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.units import TIME, Unit, parse_unit
 
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
-UNNAMED = "column 1"
-"""First column of a text without names."""
+UNNAMED = ("column 1", "X", "x")
+"""First column of a text without names, or with that of an abscissa."""
 TIMES_READ = 4096
 """Samples of a column of times from which its step is told."""
 
@@ -61,7 +61,7 @@ def empty_times(file: ForeignFile) -> list[ForeignChannel]:
 def even_column(file: ForeignFile) -> ForeignChannel | None:
     """Return the first of columns without names that holds even times, but no numbers of rows."""
     group = file.groups[0]
-    if group.rate is not None or group.unusable or group.names[0] != UNNAMED:
+    if group.rate is not None or group.unusable or group.names[0] not in UNNAMED:
         return None
     for column in range(min(2, len(group.channels))):
         axis = time_axis(group, column)

@@ -84,6 +84,25 @@ RIGHT = {
     "LabVIEW, none": (LVM.format("No", 0.001, 0.001) + lines(lambda k: f"\t{X[k, 0]}\t{X[k, 1]}\t"), X, "1000"),
     "LabVIEW, with units": (labview("One"), X, "A: {name: A, unit: g,"),
     "LabVIEW, times and values in turn": (labview("Multi"), X, "B: {name: B, unit: g,"),
+    "Rigol, start and step beside the names": (
+        "X,A,B,Start,Increment,\nSequence,Volt,Volt,-2.500000e-01,1.000000e-03\n"
+        + lines(lambda k: f"{k},{X[k, 0]},{X[k, 1]},"),
+        X,
+        "sample_rate: 1000  # Hz, as the file says\nchannels:\n  A: {name: A, unit: Volt}",
+    ),
+    "settings of an oscilloscope above times and values": (
+        'sep=,\n"Sampling Frequency (Hz)=",1000,,\n"Channel Data","A","B",\n"Attenuation = ",1,1,\n"Scale (V/DIV) = ",'
+        '5,2,\n"Inverted = ","NO","NO",\n"Time (s)","Voltage (V)","Voltage (V)",\n' + plain(",", end=","),
+        X,
+        "time: Time\nchannels:\n  A: {name: A, unit: V}",
+    ),
+    "an abscissa without a unit": ("X,A (V),B (V)\n" + plain(","), X, "time: X\ntime_unit: s  # assumed"),
+    "Visual3D, names above rows of kinds": (
+        "\tC:\\r.c3d\tC:\\r.c3d\n\tA\tB\n\tFORCE\tFORCE\n\tORIGINAL\tORIGINAL\nITEM\tX\tX\n"
+        + lines(lambda k: f"{k + 1}\t{X[k, 0]}\t{X[k, 1]}"),
+        X,
+        "A: {name: A, unit: TODO}",
+    ),
     "an oscilloscope": ("X,A,B,\nSecond,Volt,Volt,\n" + plain(",", end=","), X, "time: X"),
     "accelerations in g": ("time [s],A [g],B [g]\n" + plain(","), X, "A: {name: A, unit: g,"),
     "catman with a row behind the units": (CATMAN + "Datum 12.03.2024\t\t\n" + plain("\t", ","), X, "time: "),
@@ -146,6 +165,16 @@ def test_layouts_that_could_give_wrong_numbers_are_refused(tmp_path, text, fault
     with pytest.raises(UserError, match=fault):
         file = opened(tmp_path, text)
         [group.read(range(len(group.names)), 0, group.samples) for group in file.groups]
+
+
+def test_dates_without_a_name_are_the_time(tmp_path):
+    """As seismic stations write records: a line of words, then date and value."""
+    rows = lines(lambda k: f"{(BEGIN + timedelta(milliseconds=k)).isoformat(timespec='microseconds')}  {X[k, 0]:.6f}")
+    file = opened(tmp_path, "TIMESERIES XX_TEST_R, 400 samples, 1000 sps, INTEGER, Counts\n" + rows)
+    assert "time: column 1\nchannels:\n  column 2:" in sketch_map([file], None)
+    assert np.diff(whole(file, "column 1")) == pytest.approx(1e-3, abs=1e-6)
+    with pytest.raises(UserError, match="several blocks of rows"):
+        opened(tmp_path, 2 * ("TIMESERIES XX_TEST_R, 400 samples\n" + rows))
 
 
 def test_row_numbers_are_no_time_and_unclear_units_are_to_be_completed(tmp_path):
