@@ -135,7 +135,9 @@ def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iter
     model = all_trims.model
     proof = all_trims.loads_model.contraction()
     if all_trims.runs:
-        yield f"All trims, {_rows_text(all_trims)} in {len(model.load_series)} load series, each with its own zero"
+        count = len(model.load_series)
+        series = f"{count} load series, each with its own zero" if count > 1 else "one load series"
+        yield f"All trims, {_rows_text(all_trims)} in {series}"
     for note in all_trims.series_notes or ():
         yield f"  {note}"
     unconfirmed = components_of_one_series(all_trims)
