@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_SQUARED_T = 400.0
-"""Mean squared t of a response from which it is known to 5 %: a factor of two is then 10 standard errors."""
+"""Squared response over its variance, of all channels, from which it is known to 5 %: a factor of two is then 10
+standard errors. A channel that is precise, as a torque meter, does not stand for the others, which have a part in the
+factor."""
 MIN_ROWS = 3
 """Rows of a direction: two that stand out from a fit may be outliers that were too few to be excluded."""
 MIN_CHANGE = 0.05
@@ -35,6 +37,8 @@ MIN_STEP = 0.05
 """Share of the largest load of a direction by which two of its loads must differ to tell a response."""
 MIN_OWN_SHARE = 0.05
 """Part of its column that the other directions and zeros must leave, as amplitude."""
+MAX_SHARED = 1e-3
+"""Part of a response that may go to other directions, in the generalized inverse of a singular matrix: rounding."""
 MIN_DOF = 3
 """Degrees of freedom by which the responses are compared with their scatter: the t of fewer has no variance."""
 MAX_DIRECTIONS = 200
@@ -139,6 +143,8 @@ def _responses(
     if dof < MIN_DOF:
         return None
     inverse = np.linalg.pinv(A.T @ A, hermitian=True)
+    # Of columns that the rows do not tell apart, each would have a part of the response.
+    is_told = np.diag(inverse @ A.T @ A) > 1.0 - MAX_SHARED
     coefficients = inverse @ (A.T @ y)
     spread = np.maximum(np.ptp(points.channels[used], axis=0), np.finfo(float).tiny)
     variance = np.sum((y - A @ coefficients) ** 2, axis=0) / dof + (np.finfo(float).eps * spread) ** 2
@@ -146,9 +152,15 @@ def _responses(
     for place, (j, rows) in enumerate(masks):
         column = X[:, place] - X[:, place].mean()
         response = coefficients[place] / np.linalg.norm(subtract_block_means(X[:, [place]], series[used]))
-        t2 = float(np.mean(coefficients[place] ** 2 / (variance * inverse[place, place])))
+        error2 = variance * inverse[place, place]
+        t2 = float(np.sum((coefficients[place] / spread) ** 2) / np.sum(error2 / spread**2))
         change = float(np.max(np.abs(response) * np.ptp(column) / spread))
-        if inverse[place, place] < MIN_OWN_SHARE**-2 and t2 >= MIN_SQUARED_T and change >= MIN_CHANGE:
+        if (
+            is_told[place]
+            and inverse[place, place] < MIN_OWN_SHARE**-2
+            and t2 >= MIN_SQUARED_T
+            and change >= MIN_CHANGE
+        ):
             known.append(_Direction(j, rows, response / spread))
     return known
 

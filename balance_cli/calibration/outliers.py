@@ -15,12 +15,10 @@ from balance_cli.calibration.exclusion_test import rows_of_chance
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gross_outliers import gross_outlier_candidates, misplaced_rows
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
-from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
-from balance_cli.calibration.robust_scale import robust_row_sigma
+from balance_cli.calibration.row_errors import errors_without, have_load_errors, outlier_limit, row_sigma
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, exclude_suspect_series
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.io.units import VOLTAGE
-from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -30,8 +28,6 @@ MAX_OUTLIER_SHARE = 0.05
 """Share of the rows that may be outliers; more of them point to the model instead of the rows."""
 MIN_OUTLIERS = 2
 """Rows that may be outliers in any calibration: two that are exchanged."""
-OUTLIER_LIMIT_FACTOR = 1.3
-"""Factor on the limit of Student's t: the median of a load series is itself known to a few per cent only."""
 MAX_SCREENINGS = 4
 """Rounds of selecting terms and excluding rows; without a further outlier the rounds end."""
 
@@ -80,10 +76,14 @@ def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) ->
         fit = fit_calibration_model(included, choice)
     outlying = excluded
     excluded, fit = _include_predicted_rows(points, included, fit, outlying, choice)
+    excluded, fit = _include_load_errors(points, included, fit, excluded, choice)
     included = replace(included, weight=np.where(outlying & ~excluded, points.weight, included.weight))
     excluded, fit, notes = _include_rows_of_chance(points, included, fit, excluded, choice, notes)
-    if stopped and excluded.any():
-        notes = (*notes, f"{int(np.count_nonzero(excluded))} rows were excluded as outliers, and more remain")
+    # Where some were included again, those that remained may have been like them.
+    if stopped and excluded.any() and np.array_equal(excluded, outlying):
+        number = int(np.count_nonzero(excluded))
+        which = "1 row was" if number == 1 else f"{number} rows were"
+        notes = (*notes, f"{which} excluded as outliers, and more remain")
     return ScreenedFit(fit, describe_outliers(points, fit, excluded), suspect_series, notes)
 
 
@@ -98,12 +98,25 @@ def _include_predicted_rows(
     candidates = excluded & np.isin(points.load_series, fitted) & ~misplaced_rows(points)
     with_candidates = replace(included, weight=np.where(candidates, points.weight, included.weight))
     ratio = _prediction_ratio(with_candidates, fit, candidates)
-    predicted = candidates & (ratio <= _limit(included, fit))
+    predicted = candidates & (ratio <= outlier_limit(included, fit))
     if not predicted.any():
         return excluded, fit
     further = replace(included, weight=np.where(predicted, points.weight, included.weight))
     again = fit_calibration_model(further, choice)
     return (excluded, fit) if _largest_outlier(further, again) is not None else (excluded & ~predicted, again)
+
+
+def _include_load_errors(
+    points: CalibrationPoints, included: CalibrationPoints, fit: CalibrationModelFit, excluded: Mask, choice: TermChoice
+) -> tuple[Mask, CalibrationModelFit]:
+    """Include excluded rows (m,) whose loads are off by no more than weights are."""
+    candidates = excluded & ~misplaced_rows(points)
+    with_candidates = replace(included, weight=np.where(candidates, points.weight, included.weight))
+    usual = have_load_errors(with_candidates, fit, candidates)
+    if not usual.any():
+        return excluded, fit
+    further = replace(included, weight=np.where(usual, points.weight, included.weight))
+    return excluded & ~usual, fit_calibration_model(further, choice)
 
 
 def _include_rows_of_chance(
@@ -151,7 +164,7 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     for _ in range(MAX_SCREENINGS):
         fit = fit_calibration_model(points.exclude_rows(gross), choice)
         ratio = np.where(misplaced, np.inf, _prediction_ratio(points, fit, gross))
-        agreeing = gross & (ratio <= _limit(points, fit))
+        agreeing = gross & (ratio <= outlier_limit(points, fit))
         gross = gross & ~agreeing
         if not agreeing.any() or not gross.any():
             break
@@ -183,9 +196,9 @@ def _agrees_unmasked(
     points: CalibrationPoints, fit: CalibrationModelFit, whole: CalibrationModelFit, rows: Mask
 ) -> bool:
     """Whether the others predict some rows (m,) by the terms of the fit to all, and by a scale that is made without."""
-    root = np.sqrt(points.weight)[:, None]
-    sigma = robust_row_sigma(fit.press * root, points.load_series, (points.weight > 0) & ~rows, points.x)
-    return bool(np.max(np.abs(whole.press * root)[rows] / sigma[rows]) <= _limit(points, whole))
+    sigma = row_sigma(points, fit, (points.weight > 0) & ~rows)
+    errors = np.abs(whole.press * np.sqrt(points.weight)[:, None])
+    return bool(np.max(errors[rows] / sigma[rows]) <= outlier_limit(points, whole))
 
 
 def _single_outlier(points: CalibrationPoints, choice: TermChoice, gross: Mask) -> Mask | None:
@@ -218,31 +231,14 @@ def _scale(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> f
     return float(np.mean(np.nanmedian(np.abs(fit.press[at]), axis=0) / spread))
 
 
-def _limit(points: CalibrationPoints, fit: CalibrationModelFit) -> float:
-    """Ratio of error and sigma beyond which the largest of all rows and channels is not chance."""
-    dof = max(float(np.min(fit.model.dof)), 3.0)  # below 3 the variance of Student's t is infinite
-    tests = np.count_nonzero(points.weight > 0) * points.channels.shape[1]
-    return float(OUTLIER_LIMIT_FACTOR * stats.t.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / tests, dof))
-
-
 def _prediction_ratio(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> Array:
     """Largest error of some rows (m,) of which the fit knows nothing, over its sigma; 0 for the others."""
-    errors = _errors_without(points, fit, rows)
+    errors = errors_without(points, fit, rows)
     used = (points.weight > 0) & ~rows
-    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used, points.x)
+    sigma = row_sigma(points, fit, used)
     known = np.where(rows[:, None], np.sqrt(points.weight)[:, None] * errors, 0.0)
     extrapolated = np.sqrt(fit.model.model_covariance(points.loads).diagonal(axis1=1, axis2=2))
     return np.asarray(np.max(np.abs(known) / np.hypot(sigma, extrapolated), axis=1))
-
-
-def _errors_without(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> Array:
-    """Readings of some rows (m, c) less those of a fit without them; 0 where their load series was not fitted."""
-    fitted = np.unique(points.load_series[np.isfinite(fit.residuals).all(axis=1)])
-    known = rows & np.isin(points.load_series, fitted)
-    errors = np.zeros_like(points.channels)
-    zeros = fit.model.zeros[np.searchsorted(fitted, points.load_series[known])]
-    errors[known] = points.channels[known] - zeros - fit.model.readings(points.loads[known])
-    return errors
 
 
 def _outlying_rows(points: CalibrationPoints, fit: CalibrationModelFit, most: int) -> tuple[Mask, bool]:
@@ -264,20 +260,19 @@ def _outlying_rows(points: CalibrationPoints, fit: CalibrationModelFit, most: in
 def _largest_outlier(points: CalibrationPoints, fit: CalibrationModelFit) -> int | None:
     """The row with the largest error when predicted by all others; None if it is not significant."""
     used = points.weight > 0
-    scaled = fit.press * np.sqrt(points.weight)[:, None]
-    sigma = robust_row_sigma(scaled, points.load_series, used, points.x)
-    ratio = np.max(np.where(used[:, None], np.abs(scaled) / sigma, 0.0), axis=1)
+    errors = np.abs(fit.press * np.sqrt(points.weight)[:, None])
+    ratio = np.max(np.where(used[:, None], errors / row_sigma(points, fit, used), 0.0), axis=1)
     row = int(np.argmax(ratio))
-    return row if ratio[row] > _limit(points, fit) else None
+    return row if ratio[row] > outlier_limit(points, fit) else None
 
 
 def describe_outliers(points: CalibrationPoints, fit: CalibrationModelFit, excluded: Mask) -> tuple[Outlier, ...]:
     """The excluded rows (m,) with their errors by the final fit, and what seems to be wrong with them."""
     if not excluded.any():
         return ()
-    errors = _errors_without(points, fit, excluded)
+    errors = errors_without(points, fit, excluded)
     used = (points.weight > 0) & ~excluded
-    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used, points.x)
+    sigma = row_sigma(points, fit, used)
     partner = exchanged_rows(points, fit, excluded)
     outliers = []
     for row in np.flatnonzero(excluded).tolist():

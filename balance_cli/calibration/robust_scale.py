@@ -22,6 +22,13 @@ The noise of a load reading is present only where that load was applied, and mak
 """
 
 
+USUAL_LOAD_ERROR, LARGEST_LOAD_ERROR = 2e-4, 1e-3
+"""Relative standard deviations that loads have anyway, and may have: weights, hangers and lever arms are known to 0.02
+to 0.1 %."""
+FAR_SHARE, MIN_FAR_ROWS = 0.25, 3
+"""Share of the range of a channel from which a row shows the error of its load, and the rows that tell it."""
+
+
 MIN_UNLOADED_ROWS = 3
 """Unloaded rows of one kind from which they have a scale of their own: one wrong row does not make their median."""
 
@@ -54,6 +61,21 @@ def robust_sigma(errors: Array) -> Array:
     # np.nanmedian takes several times as long where nothing is missing.
     median = np.median if np.isfinite(errors).all() else np.nanmedian
     return np.asarray(np.maximum(1.4826 * median(np.abs(errors), axis=0), np.finfo(float).tiny))
+
+
+def load_error_sigma(errors: Array, predicted: Array) -> Array:
+    """Standard deviation (m, c) of errors (m, c) in proportion to the readings (m, c) that the loads should cause.
+
+    A weight that is off by a share of itself changes the reading by that share: a channel that one load moves, as a
+    torque meter, has this error in few rows, and most rows show its noise alone. The rows that show it tell the share,
+    within LARGEST_LOAD_ERROR.
+    """
+    size = np.abs(predicted)
+    far = np.isfinite(errors) & (size >= FAR_SHARE * np.max(size, axis=0)) & (size > 0.0)
+    ratio = np.where(far, np.abs(errors) / np.where(far, size, 1.0), 0.0)
+    told = np.count_nonzero(far, axis=0) >= MIN_FAR_ROWS
+    share = np.array([robust_sigma(ratio[far[:, c], c, None])[0] if told[c] else 0.0 for c in range(len(told))])
+    return np.asarray(np.clip(share, USUAL_LOAD_ERROR, LARGEST_LOAD_ERROR) * size)
 
 
 def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_], x: Array) -> Array:

@@ -5,6 +5,7 @@ import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.load_directions import check_load_directions
 from balance_cli.io.errors import UserError
 
 LEVEL = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.0])
@@ -44,3 +45,17 @@ def test_a_direction_in_another_unit_is_refused(factor, words):
 @pytest.mark.parametrize("sides", [0.0, 0.01, 0.2])
 def test_directions_that_differ_as_balances_do_are_no_contradiction(sides):
     assert calibrate_all_trims(points_of(1.0, 1, sides)).outliers == ()
+
+
+@pytest.mark.parametrize("seed", [10, 18, 33, 46, 58])
+def test_random_loads_whose_directions_share_their_rows_are_no_contradiction(seed):
+    """Of directions that the rows do not tell apart each had a part of the response: one of twelve was refused."""
+    rng = np.random.default_rng(seed)
+    x = np.vstack([np.vstack([np.zeros(6), rng.uniform(-1.0, 1.0, (6, 6))]) for _ in range(11)])
+    C = rng.normal(size=(6, 9))
+    C[:, 8] = np.eye(6)[5]
+    read = x @ C + 1e-5 * rng.normal(size=(len(x), 9))
+    names, components = tuple(f"g{c}" for c in range(9)), ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    run, weight, all_rows = np.zeros(len(x), int), np.ones(len(x)), np.ones(len(x), bool)
+    points = CalibrationPoints(names, components, ("s",), read, x, run, weight, np.max(np.abs(x), axis=0))
+    check_load_directions(points, all_rows, all_rows)
