@@ -12,7 +12,14 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
 from balance_cli.io.errors import UserError
-from balance_cli.signals.impact import find_hits, hammer_record, has_short_hits, use_hammer_record, window_forces
+from balance_cli.signals.impact import (
+    find_hits,
+    hammer_record,
+    has_short_hits,
+    is_mostly_hits,
+    use_hammer_record,
+    window_forces,
+)
 from balance_cli.signals.local.response import local_response
 
 RATE, FINE, SAMPLES = 1000.0, 16, 20000
@@ -91,10 +98,19 @@ def test_a_hammer_declared_as_random_is_refused():
         np.sin(np.arange(5000) ** 2 / 2e4),
         np.where(np.arange(5000) % 1000 < 500, RNG.standard_normal(5000), 0.0),
         np.zeros(5000),
+        np.random.default_rng(3).standard_normal(20000) + 50.0 * (np.arange(20000) == 7000),  # one wrong sample
     ],
 )
 def test_other_loads_are_no_hits(load):
-    assert not has_short_hits(load)
+    assert not has_short_hits(load) and not is_mostly_hits(load)
+
+
+def test_hits_of_a_cell_that_drifts_are_hits():
+    """As in the public record of a beam: 43 % of the power of the force below 2 Hz, after one tap."""
+    force = taps([1.0, 4.0])[::FINE]
+    drift = np.sin(0.3 * np.arange(SAMPLES) / RATE)
+    load = force + drift * np.sqrt(0.7 * np.sum(force**2) / np.sum(drift**2))
+    assert not has_short_hits(load) and is_mostly_hits(load)
 
 
 def test_taps_and_bounces_are_counted():

@@ -168,7 +168,8 @@ def _level_findings(rows: Sequence[ResponseRows], levels: dict[str, tuple[float,
             if rms == 0.0 or 1.0 / LARGEST_LEVEL_RATIO < ratio < LARGEST_LEVEL_RATIO:
                 continue
             hint = suggest_units(ratio, FORCE_UNITS if j < 3 else MOMENT_UNITS)
-            text = f"{name} has {ratio:.4g} times its stated `level`" + (f": {hint}" if hint else "")
+            drift = " on the lines of the response, where a drift of the record does not count" if ratio < 1.0 else ""
+            text = f"{name} has {ratio:.4g} times its stated `level`" + (f": {hint}" if hint else drift)
             findings.append(
                 ConsistencyFinding(LEVEL, WARNING, text, (run.run,), components=(name,), factor=float(ratio))
             )

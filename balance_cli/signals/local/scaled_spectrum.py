@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.covariance_pooling import window_sums
-from balance_cli.signals.impact import IMPACT, WindowedForces, has_short_hits, window_forces
+from balance_cli.signals.impact import IMPACT, WindowedForces, has_short_hits, is_mostly_hits, window_forces
 from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
 
 Array = NDArray[np.float64]
@@ -111,11 +111,13 @@ def _window_noise(windowed: WindowedForces, load_scale: Array) -> WindowNoise | 
 
 
 def _require_declared_impact(run: Run, loads: Array) -> None:
-    """Raise UserError where the loads are zero but for short hits, and the excitation is declared as something else.
+    """Raise UserError where the loads are short hits and hardly else, and the excitation is declared as something else.
 
     A hammer excites only up to some frequency, and lines beyond it would pass as measured.
     """
-    if run.excitation != IMPACT and loads.shape[1] and all(has_short_hits(column) for column in loads.T):
+    if run.excitation == IMPACT or not loads.shape[1]:
+        return
+    if all(has_short_hits(column) or is_mostly_hits(column) for column in loads.T):
         fault = f"the load is zero but for short hits, which is no `{run.excitation}` excitation"
         raise run_error(run, fault, "Declare `excitation = impact`", "attribute excitation")
 
