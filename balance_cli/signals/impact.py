@@ -229,8 +229,8 @@ def is_mostly_hits(load: Array) -> bool:
     """Whether short hits hold most of a load (n,) that noise and a drift of its cell keep from zero between them."""
     size = np.abs(load - np.median(load))
     in_hits = size > WINDOW_SIGMAS * GAUSSIAN * float(np.median(size))
-    energy = float(np.sum(size[in_hits] ** 2))
-    return has_hit(load) and np.mean(in_hits) < SHORT_SHARE and energy > HIT_ENERGY_SHARE * float(np.sum(size**2))
+    has_energy = float(np.sum(size[in_hits] ** 2)) > HIT_ENERGY_SHARE * float(np.sum(size**2))
+    return has_energy and has_hit(load) and float(np.mean(in_hits)) < SHORT_SHARE
 
 
 def has_hit(load: Array) -> bool:
