@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change
 from balance_cli.signals.rotor.common_change import CommonChange, common_change
 from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, sigma_if_steady, unsteady, windowed_amplitudes
 
@@ -97,12 +99,44 @@ def examine_steadiness(
         sigma = np.vstack([np.minimum(sigma[0], sigma_if_steady(loads[:, 0])), sigma[1:]])
     is_unsteady = unsteady(loads, _least_change(sigma, loads), correlation)
     is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
-    change, whose = common_change(within[:, 1:]), ""
+    note = _change_of_all(within, windows, start, lambda window: first + window * duration, record, geometry)
+    return Steadiness(np.ones_like(is_unsteady), note) if note else Steadiness(is_unsteady)
+
+
+def _change_of_all(
+    loads: ComplexArray,
+    windows: WindowedAmplitudes,
+    start: int,
+    time_of: Callable[[int], float],
+    record: RotorRecord,
+    geometry: Geometry,
+) -> str:
+    """Say what all loads (w, n+1, m), or all harmonics of a channel, do within a record; empty where they do nothing.
+
+    `time_of` gives the time [s] of a window, counted from window `start`.
+    """
+    change, whose = common_change(loads[:, 1:]), ""
     if change is None:
         change, whose = _change_of_channel(windows, start)
-    if change is None:
-        return Steadiness(is_unsteady)
-    return Steadiness(np.ones_like(is_unsteady), _explain(change, first + change.window * duration, whose))
+    if change is not None:
+        return _explain(change, time_of(change.window), whose)
+    alone = _channel_alone(windows, start, record, geometry)
+    if alone is None:
+        return ""
+    whose = "" if alone.column is None else f" of {windows.names[alone.column]}"
+    return f"from {time_of(alone.window):.3g} s on all harmonics{whose} {alone.description}: {alone.question}"
+
+
+def _channel_alone(
+    windows: WindowedAmplitudes, start: int, record: RotorRecord, geometry: Geometry
+) -> ChannelChange | None:
+    """Return what one channel does from window `start` on that no other sensor shows, or all by one turn."""
+    source = {channel.name: channel.source for channel in geometry.channels}
+    sources = list(dict.fromkeys(source[name] for name in windows.names))
+    sensors = np.array([sources.index(source[name]) for name in windows.names])
+    columns = record.spectra.columns(windows.names)
+    variance = np.einsum("hcc->hc", record.spectra.covariance[1:][:, columns][:, :, columns]).real
+    return channel_change(windows.values[start:, 1:], sensors, np.sqrt(variance / 2.0))
 
 
 def _change_of_channel(windows: WindowedAmplitudes, start: int) -> tuple[CommonChange | None, str]:

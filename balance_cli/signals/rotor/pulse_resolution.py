@@ -30,6 +30,8 @@ def timing_step(times: Array) -> float:
     since_first = times - times[0]
     for _ in range(2):  # the step is known to its share of an interval, then of the record
         counts = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(times) / step))])
+        if not counts.any():
+            return 0.0
         step = float(since_first @ counts / (counts @ counts))
     departure = np.abs(since_first - counts * step)
     return step if bool(np.all(departure <= tolerance)) and step > LEAST_STEP * tolerance else 0.0

@@ -112,33 +112,33 @@ def unsteady(values: ComplexArray, sigma: Array, correlation: Array | float = 0.
     wander = np.cumsum(parts - parts.mean(axis=1, keepdims=True), axis=1)
     largest = np.abs(wander).max(axis=1)
     used = np.where(np.any(values.imag != 0.0, axis=0), 2, 1)
-    scatter = np.sqrt(sum(_scatter(part) ** 2 for part in parts) / used)
+    scatter = np.sqrt(sum(window_scatter(part) ** 2 for part in parts) / used)
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(largest > 0, largest / (scatter * np.sqrt(count)), 0.0)
-    change = np.stack([_largest_change(part) for part in parts])
-    limit = _critical_sum(count, used) * _correlated_scatter(correlation)
+    change = np.stack([largest_change(part) for part in parts])
+    limit = critical_sum(count, used) * correlated_scatter(correlation)
     return np.asarray(np.any((excess > limit) & (change > MATERIAL_CHANGE * sigma), axis=0))
 
 
 def sigma_if_steady(values: ComplexArray) -> Array:
     """Return the standard deviation (...) of the mean of windows (w, ...) by their scatter, which no step enlarges."""
     few = len(values) < FEWEST_WINDOWS
-    return np.full(values.shape[1:], np.inf) if few else _scatter(values.real) / np.sqrt(len(values))
+    return np.full(values.shape[1:], np.inf) if few else window_scatter(values.real) / np.sqrt(len(values))
 
 
-def _critical_sum(count: int, parts: NDArray[np.int64]) -> Array:
+def critical_sum(count: int, parts: NDArray[np.int64] | int) -> Array:
     """Return the limit of the cumulative sum, in units of a scatter that `count` windows of so many parts tell."""
     dof = np.asarray(DIFFERENCE_DOF * (count - 2) * parts, np.float64)
     return np.asarray(CRITICAL_SUM * stats.t.isf(FALSE_ALARM / 2.0, dof) / stats.norm.isf(FALSE_ALARM / 2.0))
 
 
-def _correlated_scatter(correlation: Array | float) -> Array:
+def correlated_scatter(correlation: Array | float) -> Array:
     """Return the factor on the scatter of a sum over that by second differences, for a first-order Markov process."""
     r = np.asarray(correlation)
     return np.asarray(np.sqrt(3.0 * (1.0 + r) / (3.0 - r)) / (1.0 - r))
 
 
-def _scatter(series: Array) -> Array:
+def window_scatter(series: Array) -> Array:
     """Return the scatter of windows (w, ...) that no step or drift inflates: from their least second differences.
 
     One at lag l has six times the variance of the series where scatter is uncorrelated over l windows. The largest over
@@ -155,7 +155,7 @@ def _trimmed_mean(squares: Array) -> Array:
     return np.asarray(np.sort(squares, axis=0)[:count].mean(axis=0) / KEPT_MEAN)
 
 
-def _largest_change(series: Array) -> Array:
+def largest_change(series: Array) -> Array:
     """Return the largest difference (...) between the mean of the windows before a split and that of those after it."""
     count = len(series)
     before = np.cumsum(series, axis=0)
