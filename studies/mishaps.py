@@ -30,7 +30,8 @@ from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
 from balance_cli.simulation import Campaign, draw_rig, simulate_campaign
 from balance_cli.steps.calibrate import calibrate
-from balance_cli.steps.cross_checks import compare_static_response, cross_check, flag_contradicted_runs
+from balance_cli.steps.contradicted_loads import compare_static_response, flag_contradicted_runs
+from balance_cli.steps.cross_checks import cross_check
 from balance_cli.steps.identify import identify
 from balance_cli.steps.reduce import reduce_run
 from balance_cli.steps.reduction_inputs import zero_reference

@@ -23,13 +23,8 @@ from balance_cli.reduction.response_sources import ResponseSource, static_source
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response.transfer import Transfer
-from balance_cli.steps.cross_checks import (
-    compare_loads,
-    compare_static_response,
-    cross_check,
-    earlier_warnings,
-    flag_contradicted_runs,
-)
+from balance_cli.steps.contradicted_loads import compare_loads, compare_static_response, flag_contradicted_runs
+from balance_cli.steps.cross_checks import cross_check, earlier_warnings
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.steps.reduction_inputs import (

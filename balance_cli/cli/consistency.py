@@ -132,13 +132,13 @@ def compare_static_response(
     session: Session, calibration: Calibration | None, source: ResponseSource, geometry: Geometry, path: Path
 ) -> None:
     """Keep what contradicts in a calibration and the response from `path`; UserError where the difference is gross."""
-    from balance_cli.steps import cross_checks
+    from balance_cli.steps import contradicted_loads
 
-    session.response_findings = cross_checks.compare_static_response(calibration, source, geometry, str(path))
+    session.response_findings = contradicted_loads.compare_static_response(calibration, source, geometry, str(path))
 
 
 def flag_contradicted_runs(session: Session, runs: Mapping[str, RunLoads]) -> Mapping[str, RunLoads]:
     """Return the loads with those of runs flagged that contradict the geometry or the other runs."""
-    from balance_cli.steps import cross_checks
+    from balance_cli.steps import contradicted_loads
 
-    return cross_checks.flag_contradicted_runs(runs, session.findings)
+    return contradicted_loads.flag_contradicted_runs(runs, session.findings)

@@ -199,7 +199,7 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.response_description import text_with_rotor
     from balance_cli.reduction.result import HubLoads
-    from balance_cli.steps.cross_checks import compare_loads
+    from balance_cli.steps.contradicted_loads import compare_loads
 
     runs = flag_contradicted_runs(session, runs)
     if not reduction.method.frequencies:

@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.cell_forces import record_cell_forces
-from balance_cli.estimation.channel_distortions import record_distortions
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 from balance_cli.signals.run_samples import sample_rate
-from balance_cli.signals.waveforms import record_waveform
 
 Array = NDArray[np.float64]
 
@@ -29,6 +26,10 @@ def remove_nonlinear_contribution(run: Run, system: System, geometry: Geometry, 
     """The run without the dynamic contribution of nonlinear forces; the same run where there are no such terms."""
     if not system.equations.has_nonlinear_terms:
         return run
+    from balance_cli.estimation.cell_forces import record_cell_forces
+    from balance_cli.estimation.channel_distortions import record_distortions
+    from balance_cli.signals.waveforms import record_waveform
+
     names = geometry.channel_names
     waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)
     solution = solve(system, waveform.frequency, run.rotor_speed)

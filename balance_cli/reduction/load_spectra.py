@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, pick_channels
@@ -27,6 +26,7 @@ from balance_cli.reduction.response_sources import ResponseSource, load_scale, u
 from balance_cli.reduction.spectra_result import RunSpectra
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
+from balance_cli.signals import distributions
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import BLOCK_SAMPLES, CleanRecord, channel_noise
 from balance_cli.signals.cross_spectra import CrossSpectra, cross_spectra
@@ -249,7 +249,7 @@ def _residual_test(
     Q = W - W @ T @ np.linalg.solve(_adjoint(T) @ W @ T, _adjoint(T) @ W)
     chi2 = np.trace(Q @ y, axis1=1, axis2=2).real / degrees
     dof = 2.0 * averages * degrees
-    return np.asarray(chi2), np.asarray(stats.chi2.ppf(REDUNDANCY_CONFIDENCE, dof) / dof)
+    return np.asarray(chi2), np.asarray(distributions.chi2.ppf(REDUNDANCY_CONFIDENCE, dof) / dof)
 
 
 def _load_error(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +21,10 @@ from balance_cli.reduction.response_sources import (
     circular_real,
     select_channels,
 )
-from balance_cli.signals.response.interpolation import interpolate_values
-from balance_cli.signals.response.interpolation_error import interpolate_with_error
-from balance_cli.signals.response.transfer import Transfer, response_to_component
-from balance_cli.signals.response.transfer import select_channels as select_response_channels
-from balance_cli.signals.run_spectrum import FrequencyResponse
+
+if TYPE_CHECKING:  # Reductions by a model ask for the type of their source, and interpolate nothing.
+    from balance_cli.signals.response.transfer import Transfer
+    from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -64,6 +64,8 @@ class TransferSource(ResponseWithoutModel):
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """Return T, interpolated between the measured lines column by column."""
+        from balance_cli.signals.response.interpolation import interpolate_values
+
         value = np.zeros((len(frequency), len(self.channel_names), 6), complex)
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
@@ -76,6 +78,8 @@ class TransferSource(ResponseWithoutModel):
 
         Each response was measured by itself, so that their errors are independent.
         """
+        from balance_cli.signals.response.interpolation_error import interpolate_with_error
+
         count = len(self.channel_names)
         total = np.zeros((len(frequency), count, count), complex)
         for measured in self.responses:
@@ -93,6 +97,9 @@ def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
 
     Raises UserError where a component that the rig carries was not excited in any sweep.
     """
+    from balance_cli.signals.response.transfer import response_to_component
+    from balance_cli.signals.response.transfer import select_channels as select_response_channels
+
     components = dict.fromkeys(name for response in transfer.responses for name in response.components)
     unmeasured = [name for name in carried_components(transfer.geometry) if name not in components]
     if unmeasured:

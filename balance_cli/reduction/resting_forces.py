@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import read_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.cell_forces import record_force_histories
 from balance_cli.model.mechanics.dual_numbers import constant
 from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.system import System
@@ -34,7 +33,6 @@ from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.run_samples import sample_rate
-from balance_cli.signals.waveforms import record_waveform
 
 Array = NDArray[np.float64]
 
@@ -88,6 +86,10 @@ def _mean_forces(
     record: RotorRecord, source: ModelSource, geometry: Geometry, counts_from_zero: bool
 ) -> Iterator[_MeanForce]:
     """Each nonlinear force that is not zero."""
+    # Linear models need neither.
+    from balance_cli.estimation.cell_forces import record_force_histories
+    from balance_cli.signals.waveforms import record_waveform
+
     run, live = record.recorded or record.run, record.health.live
     waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)
     for force, d, f in record_force_histories(waveform, source.system):

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural
 from balance_cli.reduction.flags import REDUNDANCY, SEPARATOR, trust_word
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
+from balance_cli.signals.distributions import poisson
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,7 +98,7 @@ class RunSpectra(ResultView):
         """The word of trust of the run: `contradicted` only where more frequencies are than chance explains."""
         words = [flag.split(SEPARATOR) for flag in self.flags]
         rejected = sum(REDUNDANCY in flags for flags in words)
-        by_chance = float(stats.poisson.ppf(REDUNDANCY_CONFIDENCE, (1.0 - REDUNDANCY_CONFIDENCE) * len(self.flags)))
+        by_chance = float(poisson.ppf(REDUNDANCY_CONFIDENCE, (1.0 - REDUNDANCY_CONFIDENCE) * len(self.flags)))
         ignored = (REDUNDANCY,) if rejected <= NEIGHBORS_REJECTED * by_chance else ()
         return trust_word(SEPARATOR.join(word for flags in words for word in flags if word not in ignored))
 

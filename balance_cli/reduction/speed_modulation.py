@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from balance_cli.campaign.recording.run import Run, SampleBlock, SampleSource
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Acquisition, Geometry
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.interpolating_spline import PiecewisePolynomial, interpolating_spline
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.harmonic_spectrum import CarrierEnvelopes, carrier_envelopes
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -45,7 +45,7 @@ class ModulationRemoved:
     parent: SampleSource
     rate: float
     frequency: Array
-    modulation: CubicSpline[np.complex128]
+    modulation: PiecewisePolynomial
     columns: tuple[int, ...]
 
     def read(self, start: int, stop: int) -> SampleBlock:
@@ -98,7 +98,7 @@ def without_speed_modulation(
     orders = range(1, len(spectra.frequency_hz))
     carriers = carrier_envelopes(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
     modulation = np.stack([_modulation(carriers, n - 1, spectra.amplitude[n], response) for n in orders], axis=1)
-    curve = CubicSpline(carriers.time, modulation, axis=0)
+    curve = interpolating_spline(carriers.time, modulation, degree=3)
     known = run.channel_names + COMPONENTS
     columns = tuple(known.index(name) for name in spectra.names)
     source_of_rest = ModulationRemoved(run.source, sample_rate(run), carriers.frequency, curve, columns)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.check_loads import CheckLoads
@@ -23,14 +22,14 @@ from balance_cli.report.number_format import (
     value_and_sigma_text,
 )
 from balance_cli.report.reading_scale import MICROVOLTS, ReadingScale
-from balance_cli.signals.distributions import CONFIDENCE
+from balance_cli.signals.distributions import CONFIDENCE, binom, chi2, norm
 
 Array = NDArray[np.float64]
 
 LOADS_ONLY = "linear"
 HIGH_INFLATION = 10.0
 """Variance inflation above which a term is marked as nearly collinear with others (rule of thumb: Marquardt, 1970)."""
-THREE_SIGMA_P_VALUE = 2.0 * float(stats.norm.sf(MARKED_SIGMA))
+THREE_SIGMA_P_VALUE = 2.0 * float(norm.sf(MARKED_SIGMA))
 """P-value of a deviation of MARKED_SIGMA standard errors."""
 MIN_ZEROS_FOR_SCATTER = 3
 """Zeros from which the scatter about a line is known."""
@@ -93,7 +92,7 @@ def _scatter_cell(all_trims: AllTrimsCalibration, c: int) -> TableCell:
     count, scatter = len(all_trims.model.zeros), float(all_trims.drift.chi2_per_dof[c])
     if count < MIN_ZEROS_FOR_SCATTER:
         return TableCell(MISSING_VALUE)
-    limit = float(stats.chi2.isf(THREE_SIGMA_P_VALUE, count - 2)) / (count - 2)
+    limit = float(chi2.isf(THREE_SIGMA_P_VALUE, count - 2)) / (count - 2)
     return TableCell(format_significant(scatter, 2), mark="bad" if scatter > limit else "")
 
 
@@ -195,5 +194,5 @@ def _check_cell(error: float, share: float, rows: int) -> TableCell:
         return TableCell(MISSING_VALUE)
     if not np.isfinite(share):
         return TableCell(format_percent(error), "interval not known")
-    p_value = float(stats.binom.cdf(round(share * rows), rows, CONFIDENCE))
+    p_value = float(binom.cdf(round(share * rows), rows, CONFIDENCE))
     return TableCell(format_percent(error), f"{100 * share:.0f} %", "bad" if p_value < THREE_SIGMA_P_VALUE else "")

@@ -105,6 +105,26 @@ class t:  # noqa: N801
         return np.asarray(special.stdtrit(dof, p))
 
 
+class poisson:  # noqa: N801
+    """Poisson distribution of the mean `mean`."""
+
+    @staticmethod
+    def ppf(p: Numbers, mean: Numbers) -> Array:
+        """Return the least count that is not exceeded with probability p or more."""
+        count = np.ceil(np.maximum(special.pdtrik(p, mean), 0.0))
+        below = np.maximum(count - 1.0, 0.0)
+        return np.asarray(np.where(special.pdtr(below, mean) >= p, below, count))
+
+
+class binom:  # noqa: N801
+    """Binomial distribution of successes in `trials` of the probability `success`."""
+
+    @staticmethod
+    def cdf(count: Numbers, trials: Numbers, success: Numbers) -> Array:
+        """Return the probability of `count` successes or fewer."""
+        return np.asarray(special.bdtr(count, trials, success))
+
+
 def student_widening(dof: Numbers) -> Array:
     """Return the factor on variances estimated with so many degrees of freedom by which 1.96 sigma cover 95 %.
 

@@ -9,7 +9,6 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -73,14 +72,18 @@ class Resampler:
 
     def _kernel(self, distance: Array) -> Array:
         """Weight of a sample at `distance` [samples of the record]; the weights sum to one."""
+        from scipy.signal import kaiser_beta  # its import takes longer than that of a file at one rate
+
         bandwidth = min(1.0, self.rate_out / self.rate_in) * 0.5 * (1.0 + PASSBAND)
         inside = np.clip(1.0 - (distance / self.half_length) ** 2, 0.0, None)
-        beta = float(scipy.signal.kaiser_beta(ATTENUATION))
+        beta = float(kaiser_beta(ATTENUATION))
         window = np.i0(beta * np.sqrt(inside)) / np.i0(beta)
         return np.asarray(np.where(inside > 0.0, bandwidth * np.sinc(bandwidth * distance) * window, 0.0), float)
 
     def _polyphase(self, block: Array, offset: float, ratio: Fraction, count: int) -> Array:
         """Output m is the sum over i of block[i] h[m p - i q], h[j] the kernel at j / q + offset."""
+        from scipy.signal import upfirdn  # see `_kernel`
+
         p, q = ratio.numerator, ratio.denominator
         first = math.ceil((-self.half_length - offset) * q)
         first -= first % p
@@ -88,7 +91,7 @@ class Resampler:
         taps = self._kernel(np.arange(first, last + 1) / q + offset)
         phases = np.array([taps[(k - first) % q :: q].sum() for k in range(q)])
         taps /= phases[np.arange(first, last + 1) % q]  # each phase passes a constant exactly
-        filtered = scipy.signal.upfirdn(taps, block, up=q, down=p, axis=0)
+        filtered = upfirdn(taps, block, up=q, down=p, axis=0)
         return np.asarray(filtered[-first // p : -first // p + count])
 
 

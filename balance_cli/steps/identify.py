@@ -22,12 +22,13 @@ from balance_cli.estimation.identifiability import (
     parameter_identifiability,
     unidentifiable_directions,
 )
-from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, ModeTable, ParameterTable
+from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, ParameterTable
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.maximum_likelihood import TOLERANCE, fit_best_start, fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.mode_table import mode_table
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.estimation.response_error_estimate import estimate_response_error
@@ -39,7 +40,6 @@ from balance_cli.estimation.starting_values import (
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effects, fitted_effects
-from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects
 from balance_cli.model.system import System
 from balance_cli.steps.identify_paper_form import identify_in_paper_form
@@ -251,20 +251,3 @@ def _parameter_table(
         declared_sigma=parameters.sigma,
         informed_by=informed_by,
     )
-
-
-def mode_table(model: BalanceModel, theta: Array, covariance: Array) -> ModeTable:
-    """Modes at `theta` with sigma from the covariance of the free parameters."""
-    computed = modes(model.system(theta))
-    return ModeTable(
-        coordinates=computed.coordinates,
-        frequency=computed.frequency,
-        damping_ratio=computed.damping_ratio,
-        sigma_frequency=_propagate_sigma(computed.frequency_derivative, covariance),
-        sigma_damping_ratio=_propagate_sigma(computed.damping_derivative, covariance),
-        shape=computed.shape,
-    )
-
-
-def _propagate_sigma(jacobian: Array, covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", jacobian, covariance, jacobian), 0.0)))

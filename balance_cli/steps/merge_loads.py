@@ -12,7 +12,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.stored_mapping import StoredMapping
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.steps.cross_checks import compare_with_other_runs
+from balance_cli.steps.contradicted_loads import compare_with_other_runs
 
 RUN_ROLE = "run"
 REMEDY = "Merge shards of one reduction: the same options, calibration, response and zero run"

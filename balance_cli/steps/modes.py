@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identified_model import ModeTable
+from balance_cli.estimation.mode_table import mode_table
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
-from balance_cli.steps.identify import mode_table
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from balance_cli.reduction.check_contradiction import contradicted_components, f
 from balance_cli.reduction.check_errors import scale_contradiction
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.result import CheckErrors
-from balance_cli.steps.cross_checks import compare_loads, compare_with_other_runs
+from balance_cli.steps.contradicted_loads import compare_loads, compare_with_other_runs
 from balance_cli.steps.reduce import reduce_run
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.reduction.result import RunLoads
-from balance_cli.steps.cross_checks import compare_loads
+from balance_cli.steps.contradicted_loads import compare_loads
 
 RANGE = np.array([800.0, 800.0, 3700.0, 400.0, 400.0, 450.0])
 TRIM = np.array([0.0, 0.0, 2500.0, 0.0, 0.0, 250.0])

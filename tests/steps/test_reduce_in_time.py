@@ -12,7 +12,7 @@ from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import Provenance, load_artefact, save_artefact
-from balance_cli.reduction import model_sources
+from balance_cli.reduction import model_sources, paper_source
 from balance_cli.reduction.choices import LOAD_MODELS
 from balance_cli.reduction.result import HubLoads
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
@@ -312,8 +312,8 @@ def test_only_a_physical_model_has_a_state_space(campaign, folder, tmp_path, met
 
 def test_the_model_of_the_paper_is_refused(folder, identified, tmp_path, monkeypatch):
     """Its response is known at the harmonics only."""
-    monkeypatch.setattr(model_sources, "model_source", lambda model: model_sources.PaperSource(model, None))
-    monkeypatch.setattr(model_sources.PaperSource, "description", "paper form")
+    monkeypatch.setattr(model_sources, "model_source", lambda model: paper_source.PaperSource(model, None))
+    monkeypatch.setattr(paper_source.PaperSource, "description", "paper form")
     result = reduced(folder, tmp_path, "--method", "smoother", status=2)
     assert "model.h5, --method smoother" in result.stderr
     assert "physical form" in result.stderr

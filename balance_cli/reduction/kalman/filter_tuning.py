@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from balance_cli.model.state_space import StateSpace
 from balance_cli.reduction.kalman.load_models import BandLimitedNoise, FirstOrderMarkov, LoadLayer, LowPassDrift
@@ -137,6 +136,8 @@ def _first_order_markov(corner: float) -> Kind:
 
 def _search_scale(misfit: Callable[[float], float], ln_scales: Array) -> None:
     """Evaluate the misfit at these scales, and then at further ones between the neighbors of the best."""
+    from scipy.optimize import minimize_scalar  # no other part of a reduction needs it
+
     best = int(np.argmin([misfit(float(ln_scale)) for ln_scale in ln_scales]))
     lower, upper = (float(ln_scales[min(max(i, 0), len(ln_scales) - 1)]) for i in (best - 1, best + 1))
     minimize_scalar(misfit, bounds=(lower, upper), method="bounded", options={"maxiter": SEARCH_STEPS})

@@ -5,7 +5,8 @@
     smoother      rho[k] = L' rho[k+1] + H' S^-1 e[k],             x[k] + P rho[k] given all of y
     fixed lag     the same with rho[k] - L'^(d+1) rho[k+d+1], which depends on no y after k + d
 
-In the eigenvectors of L both recursions are first-order filters, one for each mode, which scipy runs compiled.
+In the eigenvectors of L both recursions are first-order filters, one for each mode: triangular equations with two
+diagonals, which BLAS solves.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
+from scipy.linalg.blas import dtbsv, ztbsv
 
 from balance_cli.reduction.kalman.channel_filter import FilterBlock, MarkedOutputs, Outputs
 from balance_cli.reduction.kalman.discretization import SampledModel
@@ -143,9 +144,15 @@ def _modes(L: Array) -> _Modes:
 def _run_recursions(values: ComplexArray, inputs: ComplexArray) -> ComplexArray:
     """Return s[0] = inputs[0], s[k] = value s[k-1] + inputs[k] by mode (column), real modes in real arithmetic."""
     rows = np.ascontiguousarray(inputs.T, dtype=complex)
-    for i, value in enumerate(values):
-        row, decay = (rows[i], value) if value.imag else (rows[i].real.copy(), value.real)
-        rows[i] = scipy.signal.lfilter([1.0], [1.0, -decay], row)
+    diagonals = np.ones((2, len(inputs)), complex, order="F")  # the main diagonal, and the one below it
+    real_diagonals = diagonals.real.copy(order="F")
+    for row, value in zip(rows, values, strict=True):
+        if value.imag:
+            diagonals[1] = -value
+            row[:] = ztbsv(1, diagonals, row, lower=1, diag=1)
+        else:
+            real_diagonals[1] = -value.real
+            row[:] = dtbsv(1, real_diagonals, row.real, lower=1, diag=1)
     return rows.T
 
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.io.errors import UserError
+from balance_cli.signals.interpolating_spline import PiecewisePolynomial, interpolating_spline
 from balance_cli.signals.rotor.pulse_repair import PULSE_DATASET, PULSE_REMEDY, repair_pulses
-
-if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -59,15 +56,12 @@ class Azimuth:
     _kept: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
-    def revolution_count(self) -> PPoly:
-        """Revolutions since the first pulse, a spline over time [s]; a B-spline would take eight times as long."""
-        from scipy.interpolate import PPoly, make_interp_spline
-
-        degree = min(5, len(self.pulse_times) - 1)
-        return PPoly.from_spline(make_interp_spline(self.pulse_times, self.revolutions.astype(float), k=degree).tck)
+    def revolution_count(self) -> PiecewisePolynomial:
+        """Revolutions since the first pulse, a spline over time [s]."""
+        return interpolating_spline(self.pulse_times, self.revolutions.astype(float), degree=5)
 
     @cached_property
-    def speed_curve(self) -> PPoly:
+    def speed_curve(self) -> PiecewisePolynomial:
         """Rotor speed [Hz], a spline over time [s]."""
         return self.revolution_count.derivative()
 
@@ -132,7 +126,7 @@ class Azimuth:
                 break
         return np.asarray(time, float)
 
-    def _evaluate_within_pulses(self, time: ArrayLike, curve: PPoly) -> Array:
+    def _evaluate_within_pulses(self, time: ArrayLike, curve: PiecewisePolynomial) -> Array:
         t = np.asarray(time, float)
         return np.where((t >= self.first) & (t <= self.last), curve(np.clip(t, self.first, self.last)), np.nan)
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
@@ -97,13 +96,15 @@ def _fine_blocks(read: ReadSamples, samples: int) -> Iterator[tuple[float, Array
 
     Blocks overlap by three values, for a cubic to be set between any two.
     """
-    taps = scipy.signal.firwin(2 * REACH * UPSAMPLING + 1, 1.0 / UPSAMPLING, window=("kaiser", 8.0)) * UPSAMPLING
+    from scipy.signal import firwin, upfirdn  # their import takes longer than a reduction by pulse times
+
+    taps = firwin(2 * REACH * UPSAMPLING + 1, 1.0 / UPSAMPLING, window=("kaiser", 8.0)) * UPSAMPLING
     for start in range(0, samples, BLOCK):
         stop = min(start + BLOCK + 1, samples)
         first, last = start - REACH - 1, stop + REACH + 1
         block = read(max(first, 0), min(last, samples))
         block = np.pad(block, (max(-first, 0), max(last - samples, 0)), mode="edge")
-        fine = scipy.signal.upfirdn(taps, block, up=UPSAMPLING)[REACH * UPSAMPLING :]
+        fine = upfirdn(taps, block, up=UPSAMPLING)[REACH * UPSAMPLING :]
         inner = slice(REACH * UPSAMPLING, (REACH + 1 + stop - start) * UPSAMPLING + 2)
         yield float((start - 1) * UPSAMPLING), fine[inner]
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals.interpolating_spline import interpolating_spline
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper
 from balance_cli.signals.rotor.spectral_floor import local_maxima, row_medians
 
@@ -123,7 +124,7 @@ def _line_powers(times: Array, revolutions: NDArray[np.int64]) -> tuple[Array, A
     The gain is that over the pulse times, of which missing ones are interpolated.
     """
     every = np.arange(int(revolutions[-1]) + 1)
-    filled = times if len(times) == len(every) else _interpolate(every, revolutions, times)
+    filled = times if len(times) == len(every) else interpolating_spline(revolutions, times, degree=3)(every)
     differences = np.diff(filled, DIFFERENCE_ORDER)
     differences = differences[len(differences) % 2 :]
     count = len(differences)
@@ -133,12 +134,6 @@ def _line_powers(times: Array, revolutions: NDArray[np.int64]) -> tuple[Array, A
     frequency = np.arange(len(lines)) / count
     gain = (2.0 * np.sin(np.pi * np.maximum(frequency, 0.5 / count))) ** DIFFERENCE_ORDER
     return frequency, np.abs(lines) ** 2, gain
-
-
-def _interpolate(every: NDArray[np.int64], revolutions: NDArray[np.int64], times: Array) -> Array:
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(revolutions, times)(every))
 
 
 def _surrounding(power: Array) -> Array:

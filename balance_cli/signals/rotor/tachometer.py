@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
@@ -214,7 +213,9 @@ def _wide_pulses(leading: Array, trailing: Array) -> tuple[Array, list[str]]:
 
 def _low_pass_lag(low_pass: AnalogLowPass, share: float) -> float:
     """Time [s] after a step at which the filtered step has passed `share` of it."""
-    _, poles, gain = scipy.signal.butter(low_pass.order, 2.0 * np.pi * low_pass.cutoff, analog=True, output="zpk")
+    from scipy.signal import butter  # its import takes longer than a reduction, and few records have such a filter
+
+    _, poles, gain = butter(low_pass.order, 2.0 * np.pi * low_pass.cutoff, analog=True, output="zpk")
     residues = np.array([gain / np.prod(pole - np.delete(poles, i)) for i, pole in enumerate(poles)])
     time = np.linspace(0.0, (2.0 + low_pass.order) / low_pass.cutoff, 20001)
     response = 1.0 + (np.exp(time[:, None] * poles) @ (residues / poles)).real

@@ -1,0 +1,112 @@
+"""Interpolating splines of any odd degree, as piecewise polynomials.
+
+`scipy.interpolate` has them too, but it imports `scipy.optimize` and `scipy.spatial`, which together take longer than
+the reduction of a run. The knots are the points but for the outer ones (not-a-knot), as in `make_interp_spline`.
+Source: C. de Boor, A Practical Guide to Splines, 2001, chapters IX, X and XIII.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_banded
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Numbers = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class PiecewisePolynomial:
+    """Polynomials between `breaks` (m + 1,); `coefficients` (k + 1, m, ...) of rising powers of x less the break below.
+
+    The outer polynomials continue beyond the breaks.
+    """
+
+    breaks: Array
+    coefficients: Numbers
+
+    def __call__(self, x: ArrayLike) -> Numbers:
+        """Return the values (..., *) at x (...)."""
+        points = np.asarray(x, float)
+        index, offset = self._locate(points.ravel())
+        column = offset.reshape(-1, *(1,) * (self.coefficients.ndim - 2))
+        value = self.coefficients[-1][index]
+        for coefficient in self.coefficients[-2::-1]:
+            value *= column
+            value += coefficient[index]
+        return np.reshape(value, points.shape + value.shape[1:])
+
+    def derivative(self) -> PiecewisePolynomial:
+        """Return the derivative; that of constants is zero."""
+        if len(self.coefficients) == 1:
+            return PiecewisePolynomial(self.breaks, np.zeros_like(self.coefficients))
+        power = np.arange(1, len(self.coefficients)).reshape(-1, *(1,) * (self.coefficients.ndim - 1))
+        return PiecewisePolynomial(self.breaks, self.coefficients[1:] * power)
+
+    def _locate(self, x: Array) -> tuple[Index, Array]:
+        """Return the polynomial of each x (n,), and x less the break below it."""
+        index = np.clip(np.searchsorted(self.breaks, x, "right") - 1, 0, len(self.breaks) - 2)
+        return index, x - self.breaks[index]
+
+
+def interpolating_spline(x: ArrayLike, y: ArrayLike, degree: int) -> PiecewisePolynomial:
+    """Return the spline through the points x (n,), rising, and y (n, ...), real or complex.
+
+    `degree` is odd. Fewer than `degree` + 1 points have the polynomial through all of them.
+    """
+    points, values = np.asarray(x, float), np.asarray(y)
+    degree = min(degree, len(points) - 1)
+    outside = (degree + 1) // 2
+    inner = points[outside : len(points) - outside] if len(points) > degree + 1 else points[:0]
+    knots = np.concatenate([np.repeat(points[0], degree + 1), inner, np.repeat(points[-1], degree + 1)])
+    flat = values.reshape(len(points), -1)
+    controls = _control_points(points, flat, knots, degree)
+    breaks = knots[degree : len(knots) - degree]
+    kind = np.result_type(flat, float)
+    coefficients = np.empty((degree + 1, len(breaks) - 1, flat.shape[1]), kind)
+    start = np.arange(degree, degree + len(breaks) - 1)
+    for order in range(degree + 1):
+        basis = _basis(breaks[:-1], knots, start, degree - order)
+        near = controls[start[:, None] - degree + np.arange(degree - order + 1)]
+        coefficients[order] = np.einsum("mj,mjs->ms", basis, near) / math.factorial(order)
+        if order < degree:
+            controls = _differentiate(controls, knots, degree, order)
+    return PiecewisePolynomial(breaks, coefficients.reshape(*coefficients.shape[:2], *values.shape[1:]))
+
+
+def _control_points(x: Array, y: Numbers, knots: Array, degree: int) -> Numbers:
+    """Return the coefficients (n, s) of the B-splines by which the spline is y at x."""
+    n = len(x)
+    interval = np.clip(np.searchsorted(knots, x, "right") - 1, degree, n - 1)
+    basis = _basis(x, knots, interval, degree)
+    banded = np.zeros((2 * degree + 1, n))
+    row, column = np.arange(n)[:, None], interval[:, None] - degree + np.arange(degree + 1)
+    banded[degree + row - column, column] = basis
+    return np.asarray(solve_banded((degree, degree), banded, y))
+
+
+def _basis(x: Array, knots: Array, interval: Index, degree: int) -> Array:
+    """Return the B-splines (n, degree + 1) that do not vanish in the interval of each x (de Boor, algorithm X.8)."""
+    values = np.ones((len(x), 1))
+    for k in range(1, degree + 1):
+        reach = np.arange(1, k + 1)
+        right = knots[interval[:, None] + reach] - x[:, None]
+        left = x[:, None] - knots[interval[:, None] + reach - k]
+        share = values / (right + left)
+        values = np.zeros((len(x), k + 1))
+        values[:, :-1] = right * share
+        values[:, 1:] += left * share
+    return values
+
+
+def _differentiate(controls: Numbers, knots: Array, degree: int, order: int) -> Numbers:
+    """Return the coefficients of the next derivative, from those (n, s) of the derivative of this order."""
+    k = degree - order
+    n = len(controls)
+    width = knots[degree + 1 : degree + n] - knots[order + 1 : order + n]
+    return np.asarray(k * np.diff(controls, axis=0) / width[:, None])

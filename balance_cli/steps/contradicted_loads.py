@@ -1,0 +1,87 @@
+"""What contradicts loads: calibration against response, the cross-checks of their runs, and the runs of each other."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, ConsistencyFinding
+from balance_cli.diagnosis.consistency.severity import contradicts_loads
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.check_contradiction import flag_by_check_runs
+from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
+from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trim_signs import flag_opposite_means, opposite_means
+from balance_cli.reduction.trust import flag_all
+from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
+from balance_cli.steps.static_agreement import static_findings
+from balance_cli.steps.trim_agreement import trim_findings
+
+STATIC_REMEDY = "Give calibration and response of the same rig in the same units and polarity"
+
+
+def compare_static_response(
+    calibration: Calibration | None, source: ResponseSource, geometry: Geometry, file: str = ""
+) -> tuple[ConsistencyFinding, ...]:
+    """Return the warnings about a calibration and the response, with its geometry, that runs are reduced by.
+
+    Raises UserError, with the `file` of the response, where their static parts differ by more than any effect explains.
+    """
+    findings = static_findings(calibration, source, geometry)
+    for finding in findings:
+        if finding.is_fault:
+            raise UserError(finding.sentence, file, "calibration", STATIC_REMEDY)
+    named = {trim for finding in findings for trim in finding.trims}
+    return (*findings, *(finding for finding in trim_findings(calibration) if not named & set(finding.trims)))
+
+
+def flag_contradicted_runs(
+    runs: Mapping[str, RunLoads], findings: Iterable[ConsistencyFinding]
+) -> Mapping[str, RunLoads]:
+    """Return the loads with those of runs flagged that contradict the geometry or the other runs.
+
+    A factor of channels that all runs have is known to the calibration and the model, and changes no load. Where a trim
+    contradicts the response, the runs whose mean loads rest on it, or on all trims, are flagged.
+    """
+    findings = tuple(findings)
+    flagged: ChainMap[str, RunLoads] = ChainMap({}, runs)  # type: ignore[arg-type]  # which is only read
+    for finding in findings:
+        if finding.kind == STATIC_RESPONSE:
+            runs_of_trim = [name for name, loads in runs.items() if loads.trim in (*finding.trims, ALL_TRIMS)]
+            flagged.update({name: _note_contradiction(flagged[name], finding) for name in runs_of_trim})
+        if not contradicts_loads(finding.kind, finding.in_all_runs, finding.factor):
+            continue
+        for name in set(finding.runs) & set(flagged):
+            flagged[name] = _note_contradiction(flagged[name], finding)
+    return flagged if flagged.maps[0] else runs
+
+
+def compare_loads(
+    runs: Mapping[str, RunLoads], calibration: Calibration | None, is_shard: bool = False
+) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
+    """Compare the loads of wind runs with each other and with the trims, and those of check runs with the known ones.
+
+    Return them flagged, and the warnings. Runs of a shard are compared with others when the shards are merged.
+    """
+    opposite = tuple(opposite_means(runs.values(), calibration))
+    flagged, warnings = flag_opposite_means(runs, opposite), tuple(item.warning for item in opposite)
+    if is_shard:
+        return flagged, warnings
+    flagged, compared = compare_with_other_runs(flagged)
+    return flagged, (*warnings, *compared)
+
+
+def compare_with_other_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
+    """Return the loads flagged by what wind runs say of each other, and check runs of all; and the warnings."""
+    comparisons = compare_wind_runs(runs)
+    flagged, contradictions = flag_by_check_runs(flag_turned_runs(runs, comparisons))
+    return flagged, (*turn_warnings(comparisons), *(item.sentence for item in contradictions))
+
+
+def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:
+    return replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, finding.sentence))

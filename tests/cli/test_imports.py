@@ -1,0 +1,54 @@
+"""What a command imports: half a second of processor time, told by the modules that it loads."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.geometry_file import save_geometry
+from balance_cli.io.artefacts import Provenance, save_artefact
+
+MADE = Provenance("a-test", {}, (), {}, "2026-01-02T03:04:05+00:00")
+HEAVY = {"scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", "matplotlib", "pandas"}
+"""Each of them takes longer than the data reduction of a run."""
+PROGRAM = """
+import json, sys
+from balance_cli.cli import balance
+balance(json.loads(sys.argv[1]), standalone_mode=False)
+print(json.dumps(list(sys.modules)))
+"""
+RESPONSE = ("--calibration", "cal.h5", "--model", "model.h5")
+CALLS = {
+    "modes": (("modes", "-g", "geometry.yaml"), 180),
+    "check": (("check", "wind.h5"), 160),
+    "sweep-tf": (("sweep-tf", "-g", "geometry.yaml", "sweep.h5", "-o", "tf.h5"), 195),
+    "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 250),
+    "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 300),
+}
+"""Words of each call, and the modules of the package that it may load: a tenth more than it does."""
+
+
+@pytest.fixture(scope="module")
+def folder(campaign, calibration, identified, tmp_path_factory):
+    """A geometry, a sweep, a wind run, and what they are reduced by."""
+    folder = tmp_path_factory.mktemp("imports")
+    save_geometry(folder / "geometry.yaml", campaign.geometry)
+    save_artefact(folder / "cal.h5", "balance-calibration/1", calibration, MADE)
+    save_artefact(folder / "model.h5", "balance-model/1", identified, MADE)
+    for kind in ("sweep", "wind"):
+        write_run(folder / f"{kind}.h5", campaign.runs_of_kind(kind)[0])
+    return folder
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_command_loads_what_it_needs(folder, name):
+    words, limit = CALLS[name]
+    call = [sys.executable, "-c", PROGRAM, json.dumps([*words, "-q"])]
+    done = subprocess.run(call, capture_output=True, text=True, check=False, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    modules = json.loads(done.stdout.splitlines()[-1])
+    assert HEAVY & set(modules) == set()
+    own = [module for module in modules if module.partition(".")[0] == "balance_cli"]
+    assert len(own) <= limit
