@@ -21,6 +21,8 @@ CLEARLY_WORSE = 1.5
 over some twenty amplitudes is about 15 %."""
 NEVER_BEFORE_MEASURED = (SourceRole.STATIC, SourceRole.COMPUTED)
 """Responses that no dynamic measurement supports; they are recommended only where nothing else is given."""
+MOST_NAMED = 4
+"""Runs that a sentence names one by one."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def reason_sentence(recommendation: Recommendation, sources: Sequence[Source[Hub
     words = "Do not use these loads, the best that were given" if unusable else "Recommended loads"
     if not others:
         words = "Do not use these loads, the only ones given" if unusable else "The only loads given"
-    words += f": by `{source.label}`"
+    words += f': by "{source.label}"'
     if recommendation.runs and others:
         words += f", of {len(others) + 1} methods compared"
     return f"{words}. {capitalize_first('; '.join(reasons))}." if reasons else f"{words}."
@@ -124,6 +126,8 @@ def _residual_test_reason(recommendation: Recommendation) -> list[str]:
     if not tested and not failing:
         return ["its harmonics are not tested, because no sensor is redundant"]
     left = f", {rows - tested} {'is' if rows - tested == 1 else 'are'} not tested" if tested < rows else ""
+    names = list(recommendation.runs)
+    where = f" in {join_names(names) if len(names) <= MOST_NAMED else f'these {len(names)} runs'}"
     if not failing:
-        return [f"all {tested} of its tested harmonics pass the residual test{left}"]
-    return [f"{failing} of its {tested} tested harmonics fail the residual test{left}"]
+        return [f"all {tested} of its tested harmonics{where} pass the residual test{left}"]
+    return [f"{failing} of its {tested} tested harmonics{where} fail the residual test{left}"]

@@ -35,8 +35,9 @@ def with_flags(content, word):
 
 def test_the_first_screen_holds_the_loads_of_the_wind_run_by_the_best_method():
     blocks = list(answer_blocks(group_sources(campaign()).loads))
-    assert blocks[0].text.startswith("Recommended loads: by `identified rigid (LS+ML)`, of 3 methods compared.")
+    assert blocks[0].text.startswith('Recommended loads: by "identified rigid (LS+ML)", of 3 methods compared.')
     assert "error on known loads (check-1 and check-2) is 1.4 %" in blocks[0].text
+    assert "harmonics in wind-1 " in blocks[0].text  # not those of the check runs that the sentence names, too
     (card,) = cards(blocks).values()
     assert card.title == "wind-1" and card.badge == "use with care"
     assert [cell.text for cell in card.head[0]] == ["", "mean", "1/rev", "trust"]
@@ -47,7 +48,7 @@ def test_the_first_screen_holds_the_loads_of_the_wind_run_by_the_best_method():
 
 def test_the_only_method_given_is_not_called_recommended():
     blocks = list(answer_blocks(sources_of(loads("physical model (ls+ml)", 0.4))))
-    assert blocks[0].text.startswith("The only loads given: by `identified rigid (LS+ML)`. Its error on known loads")
+    assert blocks[0].text.startswith('The only loads given: by "identified rigid (LS+ML)". Its error on known loads')
 
 
 def test_a_method_without_dynamics_is_never_recommended_over_one_that_was_measured():
