@@ -163,7 +163,8 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     else:
         channels = live_channels(run, geometry).left_out
         faults += (*geometry_mismatches(run, geometry), *full_range_faults(run, geometry))
-    faults += tuple(pulse_faults(run))
+    rotor = None if geometry is None else geometry.rotor
+    faults += tuple(pulse_faults(run, None if rotor is None else rotor.speed))
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
     faults += tuple(_gap_faults(run, path))

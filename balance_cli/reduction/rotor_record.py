@@ -106,7 +106,7 @@ def rotor_record(
     lines that no harmonic describes). Raises UserError where no channel is usable or the 1/rev pulses are not.
     """
     health = usable_channels(run, geometry, source)
-    for contradiction in pulse_faults(run):
+    for contradiction in pulse_faults(run, None if geometry.rotor is None else geometry.rotor.speed):
         raise contradiction
     azimuth = rotor_azimuth(run, rotor)
     if azimuth.turns < FEWEST_REVOLUTIONS:

@@ -273,3 +273,17 @@ def test_statistics_of_a_channel_are_those_of_its_definition(monkeypatch, kind, 
     distinct, counts = np.unique(finite, return_counts=True)
     np.testing.assert_array_equal(found.lowest, (distinct[:8], counts[:8]))
     np.testing.assert_array_equal(found.highest, (distinct[:-9:-1], counts[:-9:-1]))
+
+
+def test_a_channel_that_repeats_another_sensor_is_left_out_with_it():
+    """Which of the two was recorded is not known."""
+    names = [channel.name for channel in RIG.channels]
+    samples = noise(70_000 * len(names)).reshape(-1, len(names))
+    samples[:, names.index("z2.piezo")] = samples[:, names.index("z1.piezo")]
+    run = replace(record(*samples.T), channel_names=tuple(names))
+    assert live_channels(run, RIG).left_out == {
+        "z1.piezo": "equal to z2.piezo in every sample",
+        "z2.piezo": "equal to z1.piezo in every sample",
+    }
+    samples[-1, names.index("z2.piezo")] += 1.0
+    assert live_channels(replace(run, source=MemorySource(samples, None)), RIG).left_out == {}

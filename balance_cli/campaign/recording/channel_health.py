@@ -21,7 +21,7 @@ import numpy as np
 
 from balance_cli.campaign.recording.channel_statistics import ChannelStatistics, gather_statistics
 from balance_cli.campaign.recording.outer_values import EXTREME_VALUES, Integers
-from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run
+from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run, read_channel_rows
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -50,6 +50,10 @@ The limit is about three times that, and LEAST_PLATEAU more, because a few coars
 LEAST_PLATEAU = 3
 """A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often, and more often
 than its excitation repeats itself: without noise each period has the same peak."""
+COMPARED_FIRST = 64
+"""Samples by which copies of a channel are sought: noise makes no two channels equal in so many."""
+BLOCK = 65536
+"""Samples that are compared at a time."""
 REST_SHARE = 0.1
 """Loads at the start of a record, over the largest, up to which it begins at rest: a hundredth of the power is lost."""
 SMALLEST_PEAK = 1e-60
@@ -80,6 +84,8 @@ def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
     present = [channel for channel in declared if channel.name in run.channel_names]
     driving_loads = {channel.name: _loads_through_channel(channel, geometry) for channel in present}
     faults = channel_faults(run, {channel.name: channel.range for channel in present}, driving_loads)
+    if run.kind == "wind":
+        faults = {**_copies(run, {channel.name: channel.source for channel in present}), **faults}
     absent = {channel.name: "absent from the run" for channel in declared if channel.name not in run.channel_names}
     left_out = {channel.name: {**faults, **absent}.get(channel.name, "") for channel in declared}
     live = tuple(name for name, reason in left_out.items() if not reason)
@@ -103,6 +109,26 @@ def channel_faults(
         fault = _channel_fault(record, ranges[name], _may_be_constant(run, record, components))
         faults[name] = fault or run.held.get(name, "")
     return {name: fault for name, fault in faults.items() if fault}
+
+
+def _copies(run: Run, sources: Mapping[str, str]) -> dict[str, str]:
+    """Return the channels that are equal to one of another sensor in every sample: one of the two was not recorded."""
+    first = read_channel_rows(run, list(sources), 0, COMPARED_FIRST)
+    groups: dict[bytes, list[str]] = {}
+    for name, samples in zip(sources, first, strict=True):
+        if np.ptp(samples) > 0.0:
+            groups.setdefault(samples.tobytes(), []).append(name)
+    copies: dict[str, str] = {}
+    for names in groups.values():
+        if len({sources[name] for name in names}) < 2 or not _are_equal(run, names):
+            continue
+        copies |= {a: f"equal to {next(b for b in names if b != a)} in every sample" for a in names}
+    return copies
+
+
+def _are_equal(run: Run, names: list[str]) -> bool:
+    parts = (read_channel_rows(run, names, start, start + BLOCK) for start in range(0, run.samples, BLOCK))
+    return all(bool(np.all((rows == rows[0]) | np.isnan(rows))) for rows in parts)
 
 
 def _whole_periods(run: Run) -> int:

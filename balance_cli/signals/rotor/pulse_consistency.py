@@ -37,16 +37,18 @@ SHARE_ON_PULSES = 0.2
 """Share of the lines on multiples of the pulse rate below which the record may contradict its pulses."""
 SHARE_ON_COMB = 0.8
 """Share of the lines that another spacing must explain before it does."""
+SHARE_ON_ROTOR = 0.6
+"""Share of the lines that a multiple of the pulse rate must explain where none lies between: mains have lines, too."""
 UNCOVERED_SHARE = 0.2
 """Share of a record without pulses at either end that is examined: edges of a few revolutions are usual."""
 
 
-def pulse_faults(run: Run) -> Iterator[UserError]:
+def pulse_faults(run: Run, declared_speed: float | None = None) -> Iterator[UserError]:
     """Faults of the pulses against the nominal speed of the run and against the lines of its channels.
 
-    Speeds that differ are a fault, with the ratio named where it is a whole one. So are pulses that leave much of the
-    record out, and channels whose lines form a comb of another spacing than the pulse rate. A record at rest, or
-    without pulses, has none.
+    `declared_speed` [Hz] is that of the rotor in the geometry. Speeds that differ are a fault, with the ratio named
+    where it is a whole one. So are pulses that leave much of the record out, and channels whose lines form a comb of
+    another spacing than the pulse rate. A record at rest, or without pulses, has none.
     """
     if run.pulse_times is None or len(run.pulse_times) < 3 or not run.rotor_speed:
         return
@@ -64,6 +66,11 @@ def pulse_faults(run: Run) -> Iterator[UserError]:
             "rotor/pulse_times",
             "Check `sample_rate`, and whether there is one pulse in each revolution",
         )
+        return
+    fault = skipped_revolutions(run, rate, declared_speed) if declared_speed else ""
+    if fault:
+        remedy = "Give one pulse for each revolution, or the speed of this rotor as `rotor.speed` of the geometry"
+        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", remedy)
         return
     fault = coverage_fault(run)
     if fault:
@@ -85,6 +92,36 @@ def speed_fault(rate: float, speed: float) -> str:
     return f"the pulses come at {rate:.4g} Hz, `rotor_speed` is {speed:g} Hz"
 
 
+def skipped_revolutions(run: Run, rate: float, declared_speed: float) -> str:
+    """Return why pulses at a rate [Hz], which the file calls the rotor speed, come once in several revolutions.
+
+    Both must say so: the speed that the geometry declares, and the lines of the channels, of which none lies between
+    its multiples. Every rotor has a line at its own speed. Empty where the pulses are in order.
+    """
+    assert run.pulse_times is not None
+    ratio = round(declared_speed / rate)
+    if ratio < 2 or abs(declared_speed / (ratio * rate) - 1.0) > NOMINAL_TOLERANCE:
+        return ""
+    pulses = _middle_pulses(run.pulse_times)
+    lines, weight, resolution = _strongest_lines(run, float(pulses[0]), float(pulses[-1]))
+    rate, spread = (len(pulses) - 1) / float(pulses[-1] - pulses[0]), _speed_spread(pulses)
+    if len(lines) < FEWEST_LINES or rate < 8.0 * resolution:
+        return ""
+    of_rotor = _share_on_comb(lines, weight, ratio * rate, resolution, spread)
+    if of_rotor < SHARE_ON_ROTOR or _share_on_comb(lines, weight, rate, resolution, spread) > of_rotor:
+        return ""
+    return (
+        f"the pulses come at {rate:.4g} Hz, and the channels have lines at multiples of {ratio * rate:.4g} Hz, not "
+        f"between: once in {ratio} revolutions of the rotor, whose declared speed is {declared_speed:g} Hz"
+    )
+
+
+def _middle_pulses(pulses: Array) -> Array:
+    """Return the pulses in the middle of a record."""
+    middle = len(pulses) // 2
+    return pulses[max(0, middle - SPECTRUM_REVOLUTIONS // 2) : middle + SPECTRUM_REVOLUTIONS // 2 + 1]
+
+
 def coverage_fault(run: Run) -> str:
     """Return what is wrong between the times of the pulses and the length of the record; empty where nothing is."""
     assert run.pulse_times is not None
@@ -103,8 +140,7 @@ def line_spacing(run: Run) -> tuple[float, float] | None:
     Both are taken in the middle of the pulses.
     """
     assert run.pulse_times is not None
-    middle = len(run.pulse_times) // 2
-    pulses = run.pulse_times[max(0, middle - SPECTRUM_REVOLUTIONS // 2) : middle + SPECTRUM_REVOLUTIONS // 2 + 1]
+    pulses = _middle_pulses(run.pulse_times)
     rate = (len(pulses) - 1) / float(pulses[-1] - pulses[0])
     spread = _speed_spread(pulses)
     lines, weight, resolution = _strongest_lines(run, float(pulses[0]), float(pulses[-1]))

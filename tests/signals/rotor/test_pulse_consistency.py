@@ -78,3 +78,17 @@ def test_local_maxima_are_those_of_a_maximum_filter():
     for length in (1, 5, 500):
         expected = values[:length] == maximum_filter1d(values[:length], 7)
         np.testing.assert_array_equal(local_maxima(values[:length]), expected)
+
+
+@pytest.mark.parametrize(("skipped", "orders"), [(2, (1, 2, 3, 4, 6)), (3, (1, 2, 3, 5, 6)), (2, (1, 3, 4, 6, 8))])
+def test_pulses_that_skip_revolutions_are_found_though_the_stated_speed_is_theirs(skipped, orders):
+    run = record(pulses_at=SPEED / skipped, stated_speed=SPEED / skipped, orders=orders)
+    (fault,) = pulse_faults(run, 1.03 * SPEED)
+    assert f"once in {skipped} revolutions of the rotor" in str(fault)
+    assert list(pulse_faults(run)) == []
+
+
+def test_a_rotor_may_turn_at_half_of_its_declared_speed():
+    for orders in ((1, 2, 3, 4, 6), (2, 4, 6, 8, 9)):
+        assert list(pulse_faults(record(orders=orders), 2 * SPEED)) == []
+    assert list(pulse_faults(record(orders=(2, 4, 6, 8, 10)), 1.5 * SPEED)) == []
