@@ -13,6 +13,9 @@ from balance_cli.model.system import System
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+OSCILLATION_SHARE = 1e-9
+"""Imaginary parts up to this share of the largest eigenvalue are rounding: such a motion does not oscillate."""
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -74,8 +77,30 @@ def _pencil_matrices(system: System, spin: float) -> tuple[Array, Array, Complex
     return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
 
 
+def overdamped_decay_rates(system: System, spin: float = 0.0) -> Array:
+    """Decay rates [1/s], positive, of motions that do not oscillate; no order, and none where all motions oscillate.
+
+    Structural damping, which a motion without oscillation hardly feels, is left out.
+    """
+    M, D, K = _pencil_matrices(system, spin)
+    values = _finite_eigenvalues(M, D, K.real)[0]
+    creeping = np.abs(values.imag) <= OSCILLATION_SHARE * np.abs(values).max(initial=0.0)
+    return np.asarray(-values.real[creeping & (values.real < 0.0)])
+
+
 def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Oscillatory eigenvalues (m,) of rising size with left and right vectors (m, n) of the quadratic problem.
+
+    Raises LinAlgError where the matrices are not finite, or inertia or stiffness vanish.
+    """
+    values, left, right = _finite_eigenvalues(M, D, K)
+    oscillating = np.flatnonzero(values.imag > OSCILLATION_SHARE * np.abs(values).max(initial=0.0))
+    order = oscillating[np.argsort(np.abs(values[oscillating]))]
+    return values[order], left[order], right[order]
+
+
+def _finite_eigenvalues(M: Array, D: Array, K: Array | ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """All finite eigenvalues (m,) with left and right vectors (m, n).
 
     The companion pencil is [[0, I], [-K, -D]] v = s [[I, 0], [0, M]] v; M may be singular (infinite eigenvalues).
     Raises LinAlgError where the matrices are not finite, or inertia or stiffness vanish.
@@ -90,10 +115,8 @@ def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, Comp
     weight = np.block([[identity, nothing], [nothing, M]])
     values, left, right = eig(companion, weight, left=True, right=True)
     finite = np.isfinite(values) & (np.abs(values) < 1e6)
-    oscillating = finite & (values.imag > 1e-9 * np.abs(np.where(finite, values, 0.0)).max())
-    order = np.flatnonzero(oscillating)[np.argsort(np.abs(values[oscillating]))]
     # The lower half of the companion's left vector is the left vector of the quadratic problem.
-    return values[order] * scale, left[n:, order].conj().T, right[:n, order].T
+    return values[finite] * scale, left[n:, finite].conj().T, right[:n, finite].T
 
 
 def _pencil_derivative_products(

@@ -13,6 +13,7 @@ from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.estimation.response_error import ResponseError
+from balance_cli.model.modes import overdamped_decay_rates
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
 from balance_cli.model.system_response import load_response, response, solve
@@ -63,12 +64,12 @@ class ModelSource:
         """The equations of motion of the model at its estimate, the same for all runs."""
         return identified_system(self.model)
 
-    @property
+    @cached_property
     def slowest_decay(self) -> float:
-        """1 / (zeta omega) of the slowest mode [s]."""
+        """1 / (zeta omega) of the slowest mode [s], or the time constant of a slower motion that does not oscillate."""
         modes = self.model.modes
-        rate = 2 * np.pi * modes.frequency * modes.damping_ratio
-        return float(1.0 / rate.min())
+        rates = np.append(2 * np.pi * modes.frequency * modes.damping_ratio, overdamped_decay_rates(self.system))
+        return float(1.0 / rates.min())
 
     def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Return the rows, which are the channels."""

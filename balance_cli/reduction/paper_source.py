@@ -24,7 +24,7 @@ from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
-from balance_cli.reduction.response_sources import ChannelCombination
+from balance_cli.reduction.response_sources import ASSUMED_DECAY, ChannelCombination
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -68,7 +68,8 @@ class PaperSource:
     def slowest_decay(self) -> float:
         """1 / (zeta omega) of the slowest decaying mode [s]."""
         modes = self.model.modes
-        return float(1.0 / np.abs(2 * np.pi * modes.frequency * modes.damping_ratio).min())
+        rates = np.abs(2 * np.pi * modes.frequency * modes.damping_ratio)
+        return float(1.0 / rates.min()) if len(rates) else ASSUMED_DECAY
 
     def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Form the sensor forces from the live channels of each cell, and append the torque channel."""

@@ -11,7 +11,7 @@ from balance_cli.model import pole_response
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant, variables
-from balance_cli.model.modes import eigenvalues, modes
+from balance_cli.model.modes import eigenvalues, modes, overdamped_decay_rates
 from balance_cli.model.plate import plate_matrices
 from balance_cli.model.pole_response import forces_from_poles, solved_forces
 from balance_cli.model.response_jacobian import output_jacobian
@@ -255,3 +255,17 @@ def test_derivatives_of_a_lossy_mode_against_numerical_derivatives():
         above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
         numerical = (above.frequency - below.frequency) / 2e-4
         np.testing.assert_allclose(computed.frequency_derivative[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)
+
+
+# ---- motions that do not oscillate -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("zeta", [0.3, 1.4])
+def test_decay_rates_of_an_overdamped_rig(zeta):
+    """Both roots of s^2 + 2 zeta w s + w^2 are real, the slower one slower than zeta w."""
+    system = balance_model(one_degree_of_freedom().model_copy(update={"damping_ratio": zeta})).system()
+    w = np.sqrt(4e5 / 10.0)
+    rates = np.sort(overdamped_decay_rates(system))
+    expected = [w * (zeta - np.sqrt(zeta**2 - 1)), w * (zeta + np.sqrt(zeta**2 - 1))] if zeta > 1 else []
+    np.testing.assert_allclose(rates, expected, rtol=1e-9)
+    assert len(modes(system).frequency) == (zeta < 1)

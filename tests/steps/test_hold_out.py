@@ -167,3 +167,15 @@ def test_the_nonlinear_contribution_is_removed_where_the_model_has_it(kind, k3):
     knowing = computed(geometry.model_copy(update={"effects": (effect,)}))
     found = hold_out_errors(run, computed(geometry), knowing)
     assert found.before.frf_error > 5 * found.after.frf_error
+
+
+def test_a_rig_that_does_not_oscillate_has_hold_out_errors():
+    """Its start transient decays by its slowest real pole."""
+    from balance_cli.simulation import Noise, RotorPlan, simulate_run, true_rig
+
+    geometry = one_degree_of_freedom().model_copy(update={"damping_ratio": 1.4})
+    plan = RotorPlan(run="check", rotor_speed=8.0, duration=6.0, harmonics={"Fz": (30.0, 10.0, 8.0)})
+    run, _ = simulate_run(true_rig(geometry), plan, Noise().scale_by(0.1), seed=5)
+    model = computed(geometry)
+    found = hold_out_errors(run, model, model)
+    assert found.after.load_error["Fz"] < 2e-3
