@@ -55,10 +55,10 @@ def compare() -> list[Comparison]:
     analytic = min(fits, key=lambda fit: fit.seconds)
     numerical = _time_fit(lambda: _fit_with_numerical_jacobian(model, batches), chi2)
     parameters, lines = model.parameters, sum(len(batch.lines.index) for batch in batches)
-    difference = np.abs(analytic.theta - numerical.theta)[parameters.free] / parameters.scale[parameters.free]
     size = f"{lines} lines, {int(parameters.free.sum())} parameters"
-    chi2 = f"chi² {analytic.chi2:.7g} and {numerical.chi2:.7g}"
-    note = f"{size}, sample campaign; {chi2}, {difference.max():.0e} prior sigma apart"
+    # Masses and stiffnesses have a common scale that sweeps do not tell: the priors alone bound it, where scipy stops.
+    above = f"chi² {analytic.chi2:.4g}; scipy's stops {numerical.chi2 - analytic.chi2:.2g} above"
+    note = f"{size}, sample campaign; {above}, in the scale that masses and stiffnesses have in common"
     program = program_with_version("scipy", "least_squares with its numerical Jacobian")
     return [Comparison("`identify`, likelihood", "fit", analytic.seconds, program, numerical.seconds, note)]
 
