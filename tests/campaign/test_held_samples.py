@@ -8,6 +8,7 @@ import pytest
 from balance_cli.campaign.recording.channel_health import channel_faults
 from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps
 from balance_cli.campaign.recording.held_samples import held_samples
+from balance_cli.campaign.recording.repeated_block import repeated_block
 from balance_cli.campaign.recording.run import MemorySource, Run
 from tests.campaign.test_gaps import rotor_run
 
@@ -111,3 +112,23 @@ def test_a_channel_that_is_often_held_is_left_out():
         "a": "held or dropped out: 620 of 9600 samples repeat the one before or are exactly zero, the first is sample "
         "100, more than can be bridged"
     }
+
+
+@pytest.mark.parametrize("length", [16, 256])
+@pytest.mark.parametrize("lag", [256, 1000])
+def test_a_buffer_that_was_written_twice_is_refused(length, lag):
+    run = rotor_run(0)
+    channels = run.read().channels.copy()
+    channels[5000 : 5000 + length] = channels[5000 - lag : 5000 - lag + length]
+    faults = channel_faults(bridge_gaps(replace(run, source=MemorySource(channels, None))), dict.fromkeys("abc"))
+    said = f"samples 5000 to {4999 + length} repeat earlier ones in all channels: was a buffer written twice?"
+    assert faults == dict.fromkeys("abc", said)
+
+
+def test_records_without_noise_and_coarse_ones_repeat_no_block():
+    run = rotor_run(0)
+    periodic = np.tile(run.read().channels[:96], (100, 1))
+    assert len(repeated_block(replace(run, source=MemorySource(periodic, None)))) == 0
+    for step in (0.5, 0.1, 0.02):
+        coarse = np.round(run.read().channels / step) * step
+        assert len(repeated_block(replace(run, source=MemorySource(coarse, None)))) == 0

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.gap_interpolation import REACH, interpolate_missing
-from balance_cli.campaign.recording.held_samples import held_samples
+from balance_cli.campaign.recording.held_samples import ROTOR_KINDS, held_samples
+from balance_cli.campaign.recording.repeated_block import repeated_block
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, BridgedSamples, Run, SampleBlock, SampleSource
 from balance_cli.campaign.recording.static_rows import describe_rows, leave_out_rows
 from balance_cli.io.result_view import plural
@@ -65,6 +66,10 @@ def bridge_gaps(run: Run) -> Run:
         return leave_out_rows(run)
     bridged, faults = {}, {}
     missing, held = _missing_samples(run), held_samples(run)
+    copied = repeated_block(run) if run.kind in ROTOR_KINDS else np.empty(0, np.int64)
+    if len(copied):
+        fault = f"samples {copied[0]} to {copied[-1]} repeat earlier ones in all channels: was a buffer written twice?"
+        return replace(run, held=dict.fromkeys(run.channel_names, fault))
     for column in sorted({*missing, *held}):
         index = np.union1d(missing.get(column, []), held.get(column, [])).astype(np.int64)
         name, count = run.channel_names[column], len(held.get(column, []))
