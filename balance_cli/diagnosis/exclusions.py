@@ -99,9 +99,12 @@ def without_run(spectra: Spectra, name: str) -> Spectra:
 
 
 def without_channel(spectra: Spectra, name: str, geometry: Geometry) -> Spectra:
-    """Return the spectra without a channel; the others of its cell then give the force of that cell."""
-    lines = tuple(_lines_without(run, name, geometry) for run in spectra.lines)
-    statics = tuple(_points_without(run, name, geometry) for run in spectra.statics)
+    """Return the spectra without a channel; the others of its cell then give the force of that cell.
+
+    A run of which no other channel is recorded is left out with it.
+    """
+    lines = tuple(_lines_without(run, name, geometry) for run in spectra.lines if run.channel_names != (name,))
+    statics = tuple(_points_without(run, name, geometry) for run in spectra.statics if run.channel_names != (name,))
     runs = [*(run.run for run in spectra.lines), *(points.run for points in spectra.statics)]
     reason = {name: CONTRADICTS_OTHERS}
     left_out = {run: {**spectra.channels_left_out.get(run, {}), **reason} for run in runs}

@@ -20,11 +20,11 @@ from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import declared_effects
-from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
+from balance_cli.simulation import CampaignPlan, StaticPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from tests.support.other_rigs import other_rig
-from tests.support.rigs import rotor_balance
+from tests.support.rigs import one_degree_of_freedom, rotor_balance
 
 RIG = rotor_balance()
 PIEZO = channel_groups(RIG)["piezo"]
@@ -158,3 +158,23 @@ def test_a_cell_keeps_its_force_without_one_of_its_channels(late):
     assert "x.piezo" not in rest.statics[0].channel_names
     assert set(rest.channels_left_out) == {run.run for run in (*late.lines, *late.statics)}
     assert [run.run for run in without_run(late, "sweep-Fx").lines] == ["sweep-Fz", "sweep-Mz"]
+
+
+def test_a_run_that_recorded_one_channel_alone_goes_with_it():
+    """A static run has strain channels only: where the rig has one of them, it records nothing without it."""
+    channels = [
+        {"name": "z.strain", "cell": "z", "sensitivity": 0.01},
+        {"name": "z.piezo", "cell": "z", "sensitivity": 0.05, "time_constant": 3.0},
+    ]
+    rig = one_degree_of_freedom(channels=channels)
+    plans = (
+        StaticPlan(run="static", largest={"Fz": 300.0}),
+        SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), period=1.0, periods=8),
+    )
+    spectra = measured_spectra(simulate_campaign(true_rig(rig), CampaignPlan(runs=plans), seed=3)[0], rig, means=True)
+    assert len(spectra.statics) == 1
+    rest = without_channel(spectra, "z.strain", rig)
+    assert not rest.statics
+    (batch, *_) = stack_runs(rest.lines, rest.statics, rig.channel_names)
+    assert batch.run_names == ("sweep",)
+    assert without_channel(spectra, "z.piezo", rig).statics[0].channel_names == ("z.strain",)
