@@ -138,6 +138,37 @@ def square_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
     return beside(truth, law, "", {})
 
 
+def stribeck_seal(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a seal beside a cell whose friction falls with the velocity."""
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth)
+    force, kappa = truth.rig.stiffness[i] * d * rng.uniform(0.01, 0.04), 0.1 * truth.rig.stiffness[i]
+    speed = 2 * np.pi * truth.rig.modes[0] * d * rng.uniform(0.05, 0.2)
+    law = Law(
+        i,
+        lambda x, slider: np.clip(kappa * (x - slider), -force, force),
+        lambda x, slider: np.clip(slider, x - force / kappa, x + force / kappa),
+        lambda v: 0.5 * force * np.tanh(v / (0.1 * speed)) * np.exp(-((v / speed) ** 2)),
+    )
+    return beside(truth, law, "", {})
+
+
+def hardening_support(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: the floor under the cells yields along one axis, and hardens."""
+    axis, cells, m = int(rng.integers(0, 3)), len(truth.rig.stiffness), truth.rig.mass * rng.uniform(1, 4)
+    k = m * (2 * np.pi * truth.rig.modes[-1] * rng.uniform(0.6, 1.5)) ** 2
+    mechanics = add_coordinate(truth.mechanics, m, 2 * 0.02 * np.sqrt(k * m), k)
+    E = mechanics.E.copy()
+    E[:cells, -1] = -truth.rig.axis[:, axis]
+    floor = np.eye(mechanics.size)[-1]
+    mechanics = replace(
+        mechanics, E=np.insert(E, cells, floor, 0), stiffness=np.insert(mechanics.stiffness, cells, 0.0)
+    )
+    deflection = 0.06 * truth.rig.mass * 9.81 / k
+    k3 = k / deflection**2 * rng.uniform(0.01, 0.05)
+    law = Law(cells, lambda x, state: k3 * x**3)
+    return beside(replace(truth, mechanics=mechanics), law, "", {})
+
+
 UNKNOWN: tuple[Cause, ...] = (
     relaxing_hose,
     bilinear_cell,
@@ -149,4 +180,6 @@ UNKNOWN: tuple[Cause, ...] = (
     common_supply,
     missing_codes,
     square_damping,
+    stribeck_seal,
+    hardening_support,
 )
