@@ -115,9 +115,9 @@ def unsteady(values: ComplexArray, sigma: Array, correlation: Array | float = 0.
     scatter = np.sqrt(sum(window_scatter(part) ** 2 for part in parts) / used)
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(largest > 0, largest / (scatter * np.sqrt(count)), 0.0)
-    change = np.stack([largest_change(part) for part in parts])
     limit = critical_sum(count, used) * correlated_scatter(correlation)
-    return np.asarray(np.any((excess > limit) & (change > MATERIAL_CHANGE * sigma), axis=0))
+    # The size of a change does not depend on its phase, as that of either component does.
+    return np.asarray(np.any(excess > limit, axis=0) & (largest_change(values) > MATERIAL_CHANGE * sigma))
 
 
 def sigma_if_steady(values: ComplexArray) -> Array:
@@ -155,8 +155,8 @@ def _trimmed_mean(squares: Array) -> Array:
     return np.asarray(np.sort(squares, axis=0)[:count].mean(axis=0) / KEPT_MEAN)
 
 
-def largest_change(series: Array) -> Array:
-    """Return the largest difference (...) between the mean of the windows before a split and that of those after it."""
+def largest_change(series: Array | ComplexArray) -> Array:
+    """Return the size (...) of the largest difference between the means of the windows before and after a split."""
     count = len(series)
     before = np.cumsum(series, axis=0)
     shape = (-1,) + (1,) * (series.ndim - 1)

@@ -93,3 +93,12 @@ def test_a_mode_that_outlasts_its_windows_is_no_drift():
     values = noise[200:].astype(complex)
     assert unsteady(values, np.zeros(2000)).mean() > 0.1
     assert unsteady(values, np.zeros(2000), 0.85).mean() <= 2e-3
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0, 90.0, 200.0])
+def test_the_size_of_a_change_does_not_depend_on_its_phase(degrees):
+    rng = np.random.default_rng(6)
+    noise = 0.02 * (rng.standard_normal((WINDOWS, 50)) + 1j * rng.standard_normal((WINDOWS, 50)))
+    values = noise + (np.arange(WINDOWS) > 0.6 * WINDOWS)[:, None] * np.exp(1j * np.radians(degrees))
+    assert unsteady(values, np.full(50, 0.9 / 3.0)).all()
+    assert not unsteady(values, np.full(50, 1.1 / 3.0)).any()
