@@ -52,3 +52,15 @@ def test_the_matrix_gives_the_same_loads_without_sigma(folder) -> None:
     loads, same = pd.read_csv(folder / "loads.csv"), pd.read_csv(folder / "same-loads.csv")
     assert same["N [N]"].to_numpy() == pytest.approx(4.4482216 * loads["N [lbf]"].to_numpy(), abs=1e-3)
     assert same["sigma_N [N]"].isna().all()
+
+
+def test_a_table_without_its_loads_names_those_of_the_balance(folder, monkeypatch) -> None:
+    monkeypatch.chdir(folder)
+    table = (
+        (folder / "points.csv")
+        .read_text()
+        .replace("A [lbf],N [lbf],Pm [in-lbf]", "Axial [lbf],Normal [lbf],P [in-lbf]")
+    )
+    (folder / "renamed.csv").write_text(table)
+    result = CliRunner().invoke(balance, ["calibrate", "-g", "balance.yaml", "renamed.csv", "-o", "renamed.h5"])
+    assert result.exit_code == 2 and "columns such as `A [N]` or `applied A [N]`" in result.output

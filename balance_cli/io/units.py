@@ -24,6 +24,8 @@ FORCE, MOMENT, VOLTAGE, RATIO, CHARGE = "N", "N m", "V", "V/V", "C"
 ACCELERATION, ANGLE, FREQUENCY, TIME, LENGTH = "m/s2", "rad", "Hz", "s", "m"
 TEMPERATURE, MASS, NUMBER, PRESSURE = "degC", "kg", "1", "Pa"
 
+MOST_SUGGESTED = 10
+"""Units that a remedy lists: all of forces, the first of moments."""
 POUND_FORCE = 4.4482216152605
 STANDARD_GRAVITY = 9.80665
 INCH, FOOT = 0.0254, 0.3048
@@ -79,10 +81,13 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "Hz": ("1/s", "s-1", "rev/s"),
     "s": ("sec", "second", "seconds", "sek", "sekunden"),
     "h": ("hr",),
-    "1": ("-", "count", "counts", "cts", "bit", "bits", "none"),
+    "1": ("-", "count", "counts", "cts", "bit", "bits", "digit", "digits", "LSB", "none"),
     "%": ("percent",),
     "um/m": ("ue", "ustrain", "microstrain", "uepsilon"),
 }
+_MASS_SPELLINGS = {"g": ("gram", "grams"), "kg": ("kgs", "kilogram", "kilograms")}
+_WEIGHTS = {"g": "gf", "kg": "kgf", "lb": "lbf"}
+"""Units of the weights of masses under standard gravity."""
 _TEMPERATURES = {
     "degC": (("C", "celsius", "oC"), 1.0, 0.0),
     "degF": (("F", "fahrenheit"), 5 / 9, -160 / 9),
@@ -130,8 +135,10 @@ def parse_unit(text: str, *dimensions: str) -> Unit:
         clear = " or ".join(unit.dimension for unit in fitting)
         raise UserError(f"the unit `{text.strip()}` can be {meanings}", remedy=f"Convert the values to {clear}")
     if units:
-        fault = f"`{text.strip()}` is a unit of {units[0].dimension}, where one of {' or '.join(dimensions)} is needed"
-        raise UserError(fault, remedy=_remedy_for_mass(units, dimensions) or f"Write {_suggest(spelling, dimensions)}")
+        mass = next((unit for unit in units if unit.dimension == MASS and FORCE in dimensions), None)
+        found, needed = (mass or units[0]).dimension, " or ".join(dimensions)
+        remedy = _remedy_for_mass(mass) if mass else f"Write {_suggest(spelling, dimensions)}"
+        raise UserError(f"`{text.strip()}` is a unit of {found}, where one of {needed} is needed", remedy=remedy)
     raise UserError(f"unknown unit `{text.strip()}`", remedy=f"Write {_suggest(spelling, dimensions)}")
 
 
@@ -200,7 +207,7 @@ def _all_units() -> Iterator[tuple[str, Unit]]:
 
 def _spell(unit: Unit) -> Iterator[tuple[str, Unit]]:
     """The symbol and its other spellings; those of `g` are of the acceleration, not of the mass."""
-    others = () if unit.dimension == MASS else _SPELLINGS.get(unit.symbol, ())
+    others = (_MASS_SPELLINGS if unit.dimension == MASS else _SPELLINGS).get(unit.symbol, ())
     yield from ((spelling, unit) for spelling in (unit.symbol, *others))
 
 
@@ -236,11 +243,9 @@ def _ignore_case(spelling: str) -> tuple[Unit, ...]:
     return distinct if len({unit.dimension for unit in distinct}) == len(distinct) else ()
 
 
-def _remedy_for_mass(units: tuple[Unit, ...], dimensions: tuple[str, ...]) -> str:
+def _remedy_for_mass(mass: Unit) -> str:
     """A load stated as a mass needs the word of the user that standard gravity is meant."""
-    if FORCE in dimensions and any(unit.dimension == MASS for unit in units):
-        return "A mass is no load: write kgf or lbf for its weight under standard gravity"
-    return ""
+    return f"A mass is no load: write {_WEIGHTS[mass.symbol]} for its weight under standard gravity"
 
 
 def _suggest(spelling: str, dimensions: tuple[str, ...]) -> str:
@@ -252,5 +257,5 @@ def _suggest(spelling: str, dimensions: tuple[str, ...]) -> str:
         if not dimensions or unit.dimension in dimensions
     }
     near = difflib.get_close_matches(spelling, fitting, n=1, cutoff=0.6)
-    usual = ", ".join(unit_symbols(*dimensions)[:8]) if dimensions else "one of the units in docs/files.md"
+    usual = ", ".join(unit_symbols(*dimensions)[:MOST_SUGGESTED]) if dimensions else "one of the units in docs/files.md"
     return f"{fitting[near[0]].symbol} (did you mean that?), or {usual}" if near else usual

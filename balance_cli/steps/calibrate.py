@@ -68,11 +68,12 @@ def calibrate(
     static = [run for run in runs if run.kind == "static"]
     if not static:
         raise UserError("there is no static run among the runs", remedy="Give the static runs of the calibration")
+    components = load_components(geometry)
     for run in static:
         if not run.has_loads:
-            remedy = "Record the applied loads. In a table they are columns such as `Fx [N]` or `applied Fx [N]`"
+            column = f"{components.names[0]} [{components.units[0]}]"
+            remedy = f"Record the applied loads. In a table they are columns such as `{column}` or `applied {column}`"
             raise UserError("a static run without loads", run_place(run), "loads", remedy)
-    components = load_components(geometry)
     _check_attitudes(static, components)
 
     def fit(at_reference: Sequence[Run], held_out: Sequence[Run]) -> Calibration:

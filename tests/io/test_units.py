@@ -98,9 +98,22 @@ def test_temperatures() -> None:
     assert parse_unit("deg C").to_base(20.0) == 20.0
 
 
-def test_masses_are_no_loads() -> None:
-    with pytest.raises(UserError, match="write kgf or lbf"):
-        parse_unit("kg", FORCE, MOMENT)
+@pytest.mark.parametrize(
+    ("mass", "weight"), [("kg", "kgf"), ("Kilograms", "kgf"), ("g", "gf"), ("gram", "gf"), ("grams", "gf")]
+)
+def test_masses_are_no_loads(mass: str, weight: str) -> None:
+    with pytest.raises(UserError, match=f"`{mass}` is a unit of kg.* write {weight} for its weight"):
+        parse_unit(mass, FORCE, MOMENT)
+
+
+def test_all_forces_are_suggested() -> None:
+    with pytest.raises(UserError, match=r"Write N, .*lbf.*, gf, kgf$"):
+        parse_unit("zentner", FORCE)
+
+
+@pytest.mark.parametrize("text", ["counts", "bits", "digits", "LSB", "lsb"])
+def test_raw_readings_are_numbers(text: str) -> None:
+    assert parse_unit(text, VOLTAGE, RATIO, "1").dimension == "1"
 
 
 def test_wrong_dimension_and_typing_errors_are_named() -> None:
