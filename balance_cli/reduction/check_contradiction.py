@@ -7,7 +7,7 @@ rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,21 +22,31 @@ Mask = NDArray[np.bool_]
 
 ROW_ERROR_SHARE = 0.02
 """Of the known load: error of a harmonic of a check run that matters. Force cells of exciters are not known better."""
+INTERACTION_SHARE = 0.2
+"""Of the largest applied force: a load that was not applied, from which it contradicts. An exciter that is tilted by
+ten degrees applies 17 %."""
 SIGNIFICANT = 5.0
 """Error of a known load over its standard deviation from which it contradicts: no load of a sound campaign has it."""
 
 
 @dataclass(frozen=True)
 class CheckContradiction:
-    """What the known loads of a check run contradict: `components` as a whole, with their relative errors."""
+    """What the known loads of a check run contradict: `components` as a whole, with their relative errors.
+
+    And `interactions`, loads that were not applied, relative to the largest force that was.
+    """
 
     run: str
     components: dict[str, float]
+    interactions: dict[str, float] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        errors = ", ".join(f"{name} by {100.0 * error:.3g} %" for name, error in self.components.items())
+        parts = [f"{name} by {100.0 * error:.3g} %" for name, error in self.components.items()]
+        none_applied = "of the largest applied force, where none was applied"
+        parts += [f"{name} by {100.0 * size:.3g} % {none_applied}" for name, size in self.interactions.items()]
+        errors = ", ".join(parts)
         return f"reduced loads differ from the known loads of {self.run}, {errors}: the response lacks something there"
 
 
@@ -44,15 +54,17 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     """Return the loads with those flagged that check runs among them contradict, and what these contradict.
 
     In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
-    deviations. Where a component as a whole differs by more than a tenth, all its harmonics in all runs are flagged.
+    deviations. Where a component as a whole differs by more than a tenth, or one that was not applied has a fifth of
+    the largest force, all its harmonics in all runs are flagged; where half of the components do, those of all.
     """
     contradictory, with_wrong_rows = list[CheckContradiction](), False
     for name, loads in runs.items():
         if loads.check is None:
             continue
         with_wrong_rows |= bool(_contradicted_rows(loads).any())
-        if components := contradicted_components(loads):
-            contradictory.append(CheckContradiction(name, components))
+        components, interactions = contradicted_components(loads), contradicted_interactions(loads)
+        if components or interactions:
+            contradictory.append(CheckContradiction(name, components, interactions))
     contradictions = tuple(contradictory)
     return (_FlaggedRuns(runs, contradictions) if contradictory or with_wrong_rows else runs), contradictions
 
@@ -62,13 +74,15 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
 
     def __init__(self, runs: Mapping[str, RunLoads], contradictions: Sequence[CheckContradiction]) -> None:
         self._runs = runs
-        self._components = {component for item in contradictions for component in item.components}
+        self._components = {name for item in contradictions for name in (*item.components, *item.interactions)}
         self._sentences = tuple(item.sentence for item in contradictions)
 
     def __getitem__(self, name: str) -> RunLoads:
         loads = self._runs[name]
         rows = _contradicted_rows(loads)
-        rows[1:] |= [component in self._components for component in loads.components]
+        wrong = np.array([component in self._components for component in loads.components])
+        # With so many wrong it is the channels, and only the symmetry of a rig or of its loads keeps the others right.
+        rows[1:] |= wrong if 2 * np.count_nonzero(wrong) < len(wrong) else True
         return replace(_flag_rows(loads, rows), notes=(*loads.notes, *self._sentences)) if rows.any() else loads
 
     def __iter__(self) -> Iterator[str]:
@@ -90,6 +104,22 @@ def contradicted_components(loads: RunLoads) -> dict[str, float]:
         m = loads.components.index(name)
         if error > MODEL_ERROR_SHARE and error * size[m] > SIGNIFICANT * deviation[m]:
             wrong[name] = error
+    return wrong
+
+
+def contradicted_interactions(loads: RunLoads) -> dict[str, float]:
+    """Return the size of each load that a check run has though it was not applied, relative to the largest force."""
+    if loads.check is None:
+        return {}
+    last = min(HARMONICS_COMPARED, len(loads.amplitude) - 1)
+    deviation = np.sqrt(np.mean(_variance(loads)[1 : last + 1], axis=0))
+    reduced = np.sqrt(np.mean(np.abs(loads.amplitude[1 : last + 1]) ** 2, axis=0))
+    wrong = {}
+    for name, size in loads.check.interaction.items():
+        m = loads.components.index(name)
+        least = max(INTERACTION_SHARE, SIGNIFICANT * loads.check.interaction_noise.get(name, 0.0))
+        if size > least and reduced[m] > SIGNIFICANT * deviation[m]:
+            wrong[name] = size
     return wrong
 
 

@@ -89,3 +89,19 @@ def test_a_factor_between_loads_needs_several_harmonics(harmonics, factor, words
     check = CheckErrors({"Fz": 0.1}, {}, {"Fz": 0.01}, {}, applied)
     said = scale_contradiction(check, factor * applied, ("Fz",))
     assert words in said and bool(said) == bool(words)
+
+
+def test_a_load_that_was_not_applied_is_flagged_in_all_runs(loads):
+    """Two channels exchanged on a rig without redundancy: 180 N of Fy for 70 N of Fx, and no flag but on Fx and Mz."""
+    check = next(iter(loads.values()))
+    name = next(iter(check.check.interaction))
+    m = check.components.index(name)
+    for share, is_found in ((0.1, False), (2.5, True)):
+        amplitude = check.amplitude.copy()
+        amplitude[1:, m] += 1e3 * share
+        interaction = {**check.check.interaction, name: share}
+        wrong = replace(check, amplitude=amplitude, check=replace(check.check, interaction=interaction))
+        flagged, found = flag_by_check_runs({**loads, check.run: wrong})
+        assert _flagged(flagged) == ({("check", name), ("wind", name)} if is_found else set())
+        if is_found:
+            assert f"{name} by 250 % of the largest applied force, where none was applied" in found[0].sentence
