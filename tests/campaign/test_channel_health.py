@@ -90,6 +90,16 @@ def test_a_constant_channel_is_dead(value: float) -> None:
     assert fault(np.full(1000, value)) == f"dead: constant at {value:.6g} V"
 
 
+@pytest.mark.parametrize(("ends", "is_end"), [((12000, 12001, 12000), True), ((12000, 15000, 12000), False)])
+def test_channels_that_end_together_are_a_record_that_ended(ends: tuple[int, ...], is_end: bool) -> None:
+    """As of force plates, whose program fills up a record of fixed length with zeros."""
+    at = np.arange(20000)
+    channels = [np.where(at < end, quantized(noise(seed=seed)), 0.0) for seed, end in enumerate(ends)]
+    faults = channel_faults(record(*channels), dict.fromkeys(("c0", "c1", "c2")))
+    assert all(text.startswith("dead for part of the record: constant at 0 V from sample ") for text in faults.values())
+    assert [text.endswith("to have ended there, cut the record") for text in faults.values()] == [is_end] * 3
+
+
 @pytest.mark.parametrize(("start", "stop"), [(0, 5000), (7000, 7100), (12000, 20000), (20, 20000), (0, 19990)])
 @pytest.mark.parametrize("sigma", [0.7 * STEP, 1.0])
 def test_a_channel_that_dies_for_part_of_the_record_is_found(start: int, stop: int, sigma: float) -> None:

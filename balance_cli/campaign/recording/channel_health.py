@@ -14,7 +14,7 @@ dead and clipped channels therefore compare a channel with itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,9 @@ At a peak a smooth signal dwells for less than one such interval.
 """
 LEAST_FLATLINE = 20
 """Samples. A shorter flatline is never a fault: no sensor fails and recovers within so few samples."""
+RECORD_ENDED = ", as all channels are: the recording seems to have ended there, cut the record"
+LARGEST_END_SPREAD = 10
+"""Samples between the last changes of channels that end together; the last values of some may be zeros by chance."""
 LEAST_SAMPLES = 3
 """Samples below which a constant channel proves nothing: two load points may well have equal readings."""
 PLATEAU_FACTOR = 1.5
@@ -108,7 +111,17 @@ def channel_faults(
         components = COMPONENTS if driving_loads is None else driving_loads[name]
         fault = _channel_fault(record, ranges[name], _may_be_constant(run, record, components))
         faults[name] = fault or run.held.get(name, "")
-    return {name: fault for name, fault in faults.items() if fault}
+    ended = RECORD_ENDED if run.kind != "static" and _end_together(list(records.values())) else ""
+    return {name: fault + ended for name, fault in faults.items() if fault}
+
+
+def _end_together(records: Sequence[ChannelStatistics]) -> bool:
+    """Whether all channels are constant from about one sample to the last: programs fill a fixed length with zeros."""
+    if len(records) < 2 or not all(_has_flatline(record) and record.flatline_start > 0 for record in records):
+        return False
+    starts = [record.flatline_start for record in records]
+    to_end = all(record.flatline_start + record.flatline_length == record.samples for record in records)
+    return to_end and max(starts) - min(starts) <= LARGEST_END_SPREAD
 
 
 def _copies(run: Run, sources: Mapping[str, str]) -> dict[str, str]:
