@@ -28,10 +28,12 @@ def repeated_block(run: Run) -> Integers:
     if len(run.channel_names) < 2:
         return np.empty(0, np.int64)
     key = np.concatenate([_keys(block.channels) for block in run.blocks()])
+    if np.count_nonzero(np.diff(np.sort(key)) == 0) < LEAST_BLOCK:
+        return np.empty(0, np.int64)
     order = np.argsort(key, kind="stable")
     is_equal = key[order[1:]] == key[order[:-1]]
     later, lag = order[1:][is_equal], np.diff(order)[is_equal]
-    if len(later) < LEAST_BLOCK or len(later) > LARGEST_SHARE * run.samples:
+    if len(later) > LARGEST_SHARE * run.samples:
         return np.empty(0, np.int64)
     lag_of = np.zeros(run.samples, np.int64)
     lag_of[later] = lag

@@ -29,8 +29,8 @@ COHERENCE = 0.8
 turns regularly; of noise it is below a half."""
 FEWEST_AMPLITUDES = 6
 """Amplitudes that must tell a steady turn."""
-TURNS = np.arange(-720, 720) * (np.pi / 720.0)
-"""Turns of the azimuth that are tried first [rad]: between two the twentieth harmonic turns by 5 deg."""
+TURNS_PER_HARMONIC = 16
+"""Turns of the azimuth that are tried first, over the number of harmonics: between two the last turns by 22 deg."""
 ALIKE_SHARE, ALIKE_DEPARTURE = 0.9, 0.25
 """Share of the amplitudes that must have the turn of all, and by how much of their change they may miss it beyond
 noise."""
@@ -99,7 +99,8 @@ def _sudden_turn(values: ComplexArray, size: ComplexArray, weight: Array) -> Com
 
 def _best_turn(phasors: ComplexArray, order: NDArray[np.int64]) -> Array:
     """Return the turns [rad] (w,) by which phasors (w, n) of the orders agree best."""
-    turn = TURNS[np.argmax((phasors @ np.exp(-1j * np.outer(order, TURNS))).real, axis=1)]
+    turns = np.linspace(-np.pi, np.pi, TURNS_PER_HARMONIC * int(order.max()), endpoint=False)
+    turn = turns[np.argmax((phasors @ np.exp(-1j * np.outer(order, turns))).real, axis=1)]
     left = np.angle(phasors * np.exp(-1j * np.outer(turn, order)))
     size = np.abs(phasors) * order
     return np.asarray(turn + (left * size).sum(axis=1) / np.maximum(size @ order, np.finfo(float).tiny))
