@@ -110,7 +110,8 @@ def _drop_unwritable_output() -> None:
 def _usage_message(error: click.ClickException) -> str:
     message = error.format_message().rstrip(".")
     context = error.ctx if isinstance(error, click.UsageError) else None
-    return f"{message}. Try `{context.command_path} --help`" if context else message
+    end = "" if message.endswith("?") else "."
+    return f"{message}{end} Try `{context.command_path} --help`" if context else message
 
 
 def _report_internal_error(error: BaseException, verbose: bool) -> int:

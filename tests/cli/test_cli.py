@@ -209,6 +209,8 @@ def test_the_command_line_lists_its_commands_and_its_version() -> None:
     unknown = CliRunner().invoke(balance, ["calibrat"])
     assert (unknown.exit_code, unknown.stdout) == (2, "")
     assert unknown.stderr.startswith("balance: error: No such command 'calibrat'")
+    mistyped = CliRunner().invoke(balance, ["import", "--verbos"])
+    assert "'--verbose'? Try `balance import --help`" in mistyped.stderr
     bare = CliRunner().invoke(balance, [])
     assert (bare.exit_code, bare.stderr.startswith("Usage: ")) == (2, True)
 
