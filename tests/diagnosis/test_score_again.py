@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.search import score_statistics
-from balance_cli.diagnosis.search.candidates import candidate_at
-from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.search.candidates import candidate_at, candidates
+from balance_cli.diagnosis.search.extended_models import extend_model, free_names
+from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.diagnosis.selection import confirm as confirm_module
 from balance_cli.diagnosis.selection.confirm import ConfirmedFit, score_again
 from balance_cli.diagnosis.selection.effect_selection import refit_without_effect
@@ -96,3 +97,28 @@ def test_starts_that_are_scored_together_score_as_each_alone(late_channel):
     assert together.gain == pytest.approx(best.gain, rel=1e-9)
     assert together.fitted_step == pytest.approx(best.fitted_step, rel=1e-6, abs=1e-12)
     assert len({round(score.gain, 6) for score in alone}) > 1
+
+
+def test_scores_in_small_groups_are_those_of_all_candidates_at_once(late_channel, monkeypatch):
+    """Derivatives of groups take less memory; the fitted parameters are projected out of each group alike."""
+    fit, batches = late_channel
+    pool = candidates(fit.model.geometry, excluded=SETTINGS.excluded)
+    at_once = scores(fit.model, fit.theta, batches, pool, SETTINGS.score)
+    counts = []
+
+    def count(batch, *rest):
+        result = project(batch, *rest)
+        counts.append(len(result))
+        return result
+
+    project = score_statistics.project_out_fitted
+    monkeypatch.setattr(score_statistics, "project_out_fitted", count)
+    monkeypatch.setattr(score_statistics, "MAX_DERIVATIVE_BYTES", 0)
+    in_groups = scores(fit.model, fit.theta, batches, pool, SETTINGS.score)
+    starts = sum(score_statistics._is_new_null(item, k) for item in pool for k in range(len(item.starts)))
+    assert sum(counts) == starts
+    assert max(counts) <= len(free_names(fit.model)) < starts
+    for group, whole in zip(in_groups, at_once, strict=True):
+        assert (group.candidate.label, group.start) == (whole.candidate.label, whole.start)
+        assert (group.gain, group.noise_dof) == pytest.approx((whole.gain, whole.noise_dof), rel=1e-6, abs=1e-6)
+        np.testing.assert_allclose(group.step, whole.step, rtol=1e-5, atol=1e-12 * np.abs(whole.step).max())

@@ -32,7 +32,7 @@ from balance_cli.diagnosis.search.point_mass import place_mass_candidates
 from balance_cli.diagnosis.search.projected_scores import ParameterIndices, ProjectedScore, project_out_fitted
 from balance_cli.diagnosis.settings import ScoreSettings, SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
-from balance_cli.estimation.batch import Batch, select_lines, split_by_run
+from balance_cli.estimation.batch import MAX_DERIVATIVE_BYTES, Batch, select_lines, split_by_run
 from balance_cli.estimation.levenberg_marquardt import limit_to_bounds
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import BalanceModel
@@ -88,8 +88,9 @@ def scores(
     ]
     separate = split_by_run(batches)
     # The first starts are hundreds of parameters, which the forces of the further ones would carry along.
-    for group in ([trial for trial in trials if trial[1] == 0], [trial for trial in trials if trial[1] > 0]):
-        for score in _score_trials(model, theta, separate, group, settings):
+    for kind in ([trial for trial in trials if trial[1] == 0], [trial for trial in trials if trial[1] > 0]):
+        groups = _split_trials(kind, len(free_names(model)), separate)
+        for score in (score for group in groups for score in _score_trials(model, theta, separate, group, settings)):
             label = score.candidate.label
             if label not in best or score.gain > best[label].gain:
                 best[label] = score
@@ -155,6 +156,27 @@ def _is_new_null(candidate: Candidate, number: int) -> bool:
     return number == 0 or candidate.at_null(candidate.starts[number]) != candidate.at_null(candidate.starts[0])
 
 
+def _split_trials(
+    trials: Sequence[tuple[Candidate, int]], fitted: int, batches: Sequence[Batch]
+) -> list[list[tuple[Candidate, int]]]:
+    """Groups of trials whose derivatives of the largest batch, beside those of the `fitted` parameters, fit in memory.
+
+    With what they are made of, two runs at a time, they take ten times as many bytes. Each group computes those of the
+    fitted parameters anew, so that it has at least as many of its own.
+    """
+    room = max(MAX_DERIVATIVE_BYTES // max(batch.lines.channels.nbytes for batch in batches) - fitted, fitted)
+    groups: list[list[tuple[Candidate, int]]] = []
+    taken = room
+    for trial in trials:
+        own = len(parameters_of_interest(trial[0].placed_effect.parameters))
+        if taken + own > room:
+            groups.append([])
+            taken = 0
+        groups[-1].append(trial)
+        taken += own
+    return groups
+
+
 def _score_trials(
     model: BalanceModel,
     theta: Array,
@@ -163,8 +185,6 @@ def _score_trials(
     settings: ScoreSettings,
 ) -> list[Score]:
     """The score of each candidate from the start of this number."""
-    if not trials:
-        return []
     extended, null, placed = add_all_starts(model, theta, trials)
     tested = [_tested_names(effect) for effect in placed]
     names = {name for each in tested for name in each}
