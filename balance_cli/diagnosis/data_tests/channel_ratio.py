@@ -235,8 +235,24 @@ def _inverse(information: Array) -> Array:
 def fit_with_kind(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind, settings: ChannelPairSettings) -> RatioFit:
     """The fit with one kind more, started at the value that is best on few lines."""
     few, kinds = lines.decimate(settings.start_lines), (*fit.kinds, kind)
-    starts = [np.append(fit.values, value) for value in kind.start_values(settings.start_values, lines.s)]
-    return fit_ratio(lines, kinds, min(starts, key=lambda at: ratio_chi2(few, kinds, at)), settings)
+    starts = kind.start_values(settings.start_values, lines.s)
+    best = starts[int(np.argmin(_chi2_of_starts(few, kinds, fit.values, starts)))]
+    return fit_ratio(lines, kinds, np.append(fit.values, best), settings)
+
+
+def _chi2_of_starts(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], fitted: Array, starts: Array) -> Array:
+    """`ratio_chi2` (n,) at each of n values of the last kind, beside the `fitted` values of the others."""
+    r = _ratio(lines, kinds[:-1], fitted) * np.exp([kinds[-1].log_ratio(lines.s, value) for value in starts])
+    e, v, _ = _residual(lines, r)
+    weight = lines.factor / v
+    of_run = np.equal(lines.run[:, None], np.arange(lines.run.max(initial=0) + 1)).astype(float)
+    for column in (lines.high_pass_transient[:, 1], r * lines.high_pass_transient[:, 0]):
+        if column.any():
+            size = (weight * np.abs(column) ** 2) @ of_run
+            common = (weight * np.real(column.conj() * e)) @ of_run
+            e = e - column * (common / np.maximum(size, 1e-300))[:, lines.run]
+    prior = [_prior(lines, kinds, np.append(fitted, value))[0] for value in starts]
+    return np.asarray(2.0 * np.sum(weight * np.abs(e) ** 2, axis=1) + prior)
 
 
 def score_gain(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind, min_information_share: float) -> float:
