@@ -119,6 +119,7 @@ class Unit:
         return np.asarray(np.asarray(values, float) * self.factor + self.offset)
 
 
+@lru_cache(maxsize=256)  # a batch reads the same units in every file
 def parse_unit(text: str, *dimensions: str) -> Unit:
     """Find the unit that a text names, among those of some dimensions (base units; all where none is given).
 
