@@ -43,8 +43,9 @@ BURST = 25.0
 """Power of a window, over the usual one, from which it is disturbed: five standard deviations in every harmonic."""
 ALONE_IN_POWER = 10.0
 """The same over the power of any channel of another sensor in this window from which the channel is disturbed alone."""
-MATERIAL_BURST = 2.0
-"""Standard deviations of an amplitude that the disturbed windows must change."""
+MATERIAL_BURST = 4.0
+"""Standard deviations of an amplitude that the disturbed windows must change: spikes are noise, which sigma contains,
+and change one of eight harmonics by so much once in 400 records."""
 
 
 @dataclass(frozen=True)
