@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from balance_cli.cli.common import Session, balance_command, output_option
-from balance_cli.cli.options import InputFile
+from balance_cli.cli.options import InputFile, WordOrFile
 from balance_cli.cli.static_runs import moment_center_option, open_table, table_reading, units_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT
@@ -27,6 +27,7 @@ FIRST_ROW = "first"
 @click.option(
     "--zero",
     "zero",
+    type=WordOrFile(),
     metavar="first|FILE",
     help="Reading of the unloaded balance: `first`, the first row of each run (for the rows of its other load series "
     "sigma contains the scatter of the zeros of the calibration), or a table or run of unloaded rows. "

@@ -10,6 +10,7 @@ import webbrowser
 from pathlib import Path
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.text_output import write_text
 
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 LONGEST_PRINT = 180.0
@@ -32,7 +33,7 @@ def print_pdf(html: str) -> bytes:
         raise UserError("printing needs Chromium or Chrome, and none is on the path", "--pdf", remedy=remedy)
     with tempfile.TemporaryDirectory() as folder:
         page, pdf = Path(folder, "page.html"), Path(folder, "page.pdf")
-        page.write_text(html, encoding="utf-8")
+        write_text(page, html)
         words = [browser, "--headless", "--disable-gpu", "--no-pdf-header-footer", f"--user-data-dir={folder}/profile"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             words.append("--no-sandbox")  # Chromium refuses to start its sandbox as root

@@ -45,10 +45,10 @@ from balance_cli.cli.options import (
     OutputFolder,
     check_outputs,
     geometry_option,
+    input_files,
     json_option,
     non_default_options,
     output_option,
-    paths_of_type,
     runs_argument,
     skip_bad_option,
     verbose_option,
@@ -57,6 +57,7 @@ from balance_cli.cli.work_reports import WorkReports
 from balance_cli.io.atomic import StagedOutputs, os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.reader_process import reader_process
+from balance_cli.io.text_output import printable_text, write_text
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -166,14 +167,14 @@ class Session(Messages, WorkReports):
         """Stage a text file for `path`."""
         part = self.stage(path)
         with os_errors_as_user_error(path):
-            part.write_text(text, encoding="utf-8", newline="\n")
+            write_text(part, text)
 
     def stage(self, path: Path) -> Path:
         """The temporary path to write to; the file is moved to `path` when the command has succeeded.
 
         Raises UserError where `path` is also an input.
         """
-        if path.resolve() in {Path(os.path.realpath(item)) for item in paths_of_type(self._context, InputFile)}:
+        if path.resolve() in {Path(os.path.realpath(item)) for item in input_files(self._context)}:
             raise UserError("is also an input of this command", str(path), remedy="Give the output another place")
         part = self._staged.stage_file(path)
         self._outputs.append(path)
@@ -197,7 +198,7 @@ class Session(Messages, WorkReports):
     def echo(self, line: str) -> None:
         """Print a line now: on stdout, or on stderr where the JSON goes to stdout."""
         if not self._context.params.get("quiet"):
-            click.echo(line, err=self.json_to_stdout)
+            click.echo(printable_text(line), err=self.json_to_stdout)
 
     @contextmanager
     def skip_if_unusable(self, run: Run, skip_bad: bool) -> Iterator[None]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 
 import click
+
+from balance_cli.io.text_output import printable_line
 
 COLORS = {"error": "red", "warning": "yellow", "info": "blue", "debug": "blue"}
 
@@ -14,7 +17,8 @@ def echo_message(kind: str, text: str) -> None:
     """Print `balance: KIND: text` on stderr; what is wrong is bold and colored where colors are shown."""
     shown = shows_colors()
     label = click.style(kind, fg=COLORS.get(kind), bold=kind == "error") if shown else kind
-    click.echo(f"balance: {label}: {text}", err=True, color=shown)
+    with suppress(OSError):  # nobody can be told that stderr is full
+        click.echo(f"balance: {label}: {printable_line(text)}", err=True, color=shown)
 
 
 def shows_colors() -> bool:

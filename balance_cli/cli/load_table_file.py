@@ -33,7 +33,10 @@ def write_loads(session: Session, output: Path, loads: HubLoads, provenance: Pro
         session.save(output, LOADS_FORMAT, loads, provenance)
         return
     part = session.stage(output)
-    with os_errors_as_user_error(output), part.open("w", encoding="utf-8", newline="") as file:
+    with (
+        os_errors_as_user_error(output),
+        part.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
+    ):
         _write_csv(file, loads)
 
 

@@ -49,6 +49,12 @@ class ListedFile(InputFile):
     refused = (errno.ENAMETOOLONG,)
 
 
+class WordOrFile(click.types.StringParamType):
+    """A word, or the name of a file that a command reads: the command tells them apart, and the value stays text."""
+
+    name = "text"
+
+
 class InputFolder(_UsablePath):
     """A folder that a command reads; it checks that the folder exists and what it holds."""
 
@@ -66,6 +72,12 @@ class OutputFile(_UsablePath):
     def __init__(self, allow_dash: bool = False) -> None:
         super().__init__(path_type=Path, allow_dash=allow_dash)
 
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """As for each path. Raises UserError for `-` where the output cannot be standard output."""
+        if not self.allow_dash:
+            _refuse_dash(value, "file")
+        return super().convert(value, parameter, context)
+
 
 class OutputFolder(_UsablePath):
     """A folder that a command writes files to, created if necessary and checked before anything is computed."""
@@ -74,6 +86,16 @@ class OutputFolder(_UsablePath):
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """As for each path. Raises UserError for `-`."""
+        _refuse_dash(value, "folder")
+        return super().convert(value, parameter, context)
+
+
+def _refuse_dash(value: Any, kind: str) -> None:
+    if os.fspath(value) == "-":
+        raise UserError("this output cannot go to standard output", "-", remedy=f"Give the name of a {kind}")
 
 
 class NumberRange(click.FloatRange):
@@ -159,6 +181,15 @@ def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[
         yield from (path for path in values if isinstance(path, Path) and str(path) != "-")
 
 
+def input_files(context: click.Context) -> Iterator[Path]:
+    """All files given in the call that it reads."""
+    yield from paths_of_type(context, InputFile)
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if isinstance(parameter.type, WordOrFile) and isinstance(value, str) and value and Path(value).is_file():
+            yield Path(value)
+
+
 def check_band(option: str, lowest: float, highest: float) -> None:
     """Raise UserError, with the option named, unless a band [Hz] begins at a finite frequency and does not fall."""
     if not (math.isfinite(lowest) and lowest <= highest):
@@ -190,7 +221,7 @@ def check_outputs(context: click.Context) -> None:
 
     Raises UserError where an output cannot be written, or would overwrite an input or another output.
     """
-    inputs = {Path(os.path.realpath(path)) for path in paths_of_type(context, InputFile)}
+    inputs = {Path(os.path.realpath(path)) for path in input_files(context)}
     outputs: set[Path] = set()
     for path in paths_of_type(context, OutputFile):
         check_output(path)

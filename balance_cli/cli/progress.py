@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 
 import click
 
+from balance_cli.io.text_output import printable_line
+
 T = TypeVar("T")
 
 BAR_FORMAT = "{desc} {percentage:3.0f} %|{bar}| {elapsed}<{remaining}"
@@ -175,7 +177,7 @@ def _count_seconds(task: str, begin: float, ended: threading.Event) -> None:
     on_terminal = sys.stderr.isatty()
     wait, shown = FIRST_SIGN if on_terminal else LINE_INTERVAL, False
     while not ended.wait(wait):
-        text = f"{task}: at work for {time.monotonic() - begin:.0f} s"
+        text = f"{printable_line(task)}: at work for {time.monotonic() - begin:.0f} s"
         click.echo(f"\r{text}" if on_terminal else f"balance: {text}", err=True, nl=not on_terminal)
         wait, shown = 1.0 if on_terminal else LINE_INTERVAL, True
     if on_terminal and shown:

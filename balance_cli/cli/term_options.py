@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.common import Session
-from balance_cli.cli.options import NumberRange
+from balance_cli.cli.options import NumberRange, WordOrFile
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ KINDS = ("search", "linear", "quadratic")
 
 terms_option: Callable[[F], F] = click.option(
     "--terms",
+    type=WordOrFile(),
     metavar="search|linear|quadratic|LIST|FILE",
     default="search",
     show_default=True,

@@ -10,6 +10,7 @@ from balance_cli.exporters.cubes import Cube, cubes_of
 from balance_cli.exporters.tables import csv_text, long_table, wide_table
 from balance_cli.io.artefacts import Artefact
 from balance_cli.io.errors import UserError
+from balance_cli.io.text_output import storable_text
 
 SUFFIXES = {
     ".csv": "csv",
@@ -33,7 +34,7 @@ def export_bytes(artefact: Artefact, format: str, wide: bool) -> bytes:
     if wide and format not in TABLES:
         raise UserError(f"a table in the format {format} is not wide", "--wide", remedy="Write .csv or .parquet")
     writers: dict[str, Callable[[Artefact], bytes]] = {
-        "csv": lambda item: csv_text(_table(item.content, wide)).encode(),
+        "csv": lambda item: storable_text(csv_text(_table(item.content, wide))).encode(),
         "parquet": lambda item: _parquet(_table(item.content, wide)),
         "mat": _mat,
         "uff": _uff,

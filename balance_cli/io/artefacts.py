@@ -28,6 +28,7 @@ from balance_cli.io.hdf5_output import Hdf5Output
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file, sniff_format
+from balance_cli.io.text_output import storable_text
 
 ROOT_ATTRIBUTES = ("format", "digest", "command", "options", "inputs", "versions", "created")
 PACKAGES = ("numpy", "scipy", "h5py", "pandas", "pydantic")
@@ -104,7 +105,7 @@ def save_artefact(path: Path, format: str, content: Any, provenance: Provenance)
     digest = _artefact_digest(format, tree, provenance)
     with atomic_write(Path(path)) as part, Hdf5Output(part) as output:
         for name, text in _root_attributes(format, digest, provenance).items():
-            output.file.attrs[name] = text
+            output.file.attrs[name] = storable_text(text)
         write_tree(output.file.create_group("content", track_order=True), tree)
     return digest
 

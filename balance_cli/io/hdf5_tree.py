@@ -23,6 +23,8 @@ import h5py
 import numpy as np
 from pydantic import BaseModel
 
+from balance_cli.io.text_output import storable_text
+
 Tree = dict[str, Any]
 SCALARS = (bool, int, float, complex, str)
 COMPRESSION_THRESHOLD = 4096
@@ -37,7 +39,7 @@ class TreeOnDemand(Tree):
     """A tree of many parts, each of which is made from its value when it is asked for, and not kept."""
 
     def __init__(self, values: Mapping[Any, Any]) -> None:
-        super().__init__({str(key): key for key in values})
+        super().__init__({storable_text(str(key)): key for key in values})
         self._values = values
 
     def __getitem__(self, key: str) -> Any:
@@ -65,6 +67,8 @@ def to_tree(value: Any) -> Any:
     """The value as a tree. Raises TypeError for a type that cannot be stored in an artefact."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         return to_tree(value.item())
+    if isinstance(value, str):
+        return storable_text(value)
     if value is None or isinstance(value, SCALARS):
         return value
     if isinstance(value, np.ndarray):
@@ -79,7 +83,7 @@ def _container_to_tree(value: Any) -> Any:
         pairs = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
         return {stored_field_name(item): to_tree(part) for item, part in pairs if not _is_omitted(item, part)}
     if isinstance(value, dict):
-        return {str(key): to_tree(item) for key, item in value.items()}
+        return {storable_text(str(key)): to_tree(item) for key, item in value.items()}
     if isinstance(value, Mapping):
         return TreeOnDemand(value)
     if isinstance(value, tuple | list):
@@ -98,7 +102,7 @@ def _require_storable_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]
     if array.dtype.kind in "biufc":
         return array
     if array.dtype.kind in "OU" and all(isinstance(item, str) for item in array.flat):
-        return array.astype(object)
+        return np.array([storable_text(item) for item in array.flat], object).reshape(array.shape)
     raise TypeError(f"an array of {array.dtype} cannot be stored in an artefact")
 
 
@@ -201,9 +205,8 @@ def write_tree(group: h5py.Group, tree: Tree) -> None:
             group.create_dataset(name, data=h5py.Empty("f8"))
         elif isinstance(value, np.ndarray):
             text = h5py.string_dtype() if value.dtype == object else None
-            large = (
-                {"compression": "gzip", "shuffle": True} if value.nbytes >= COMPRESSION_THRESHOLD and value.ndim else {}
-            )
+            is_large = value.nbytes >= COMPRESSION_THRESHOLD and value.ndim
+            large = {"compression": "gzip", "shuffle": True} if is_large else {}
             group.create_dataset(name, data=value, dtype=text, **large)
         else:
             group.create_dataset(name, data=value, dtype=h5py.string_dtype() if isinstance(value, str) else None)

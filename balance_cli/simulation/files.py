@@ -15,6 +15,7 @@ from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.hdf5_output import Hdf5Output
 from balance_cli.io.sniff import describe_file, require_file
+from balance_cli.io.text_output import write_text
 from balance_cli.io.yaml_file import read_yaml
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.plans import CampaignPlan
@@ -94,7 +95,7 @@ def write_truth_text(path: Path, rig: TrueRig, about: Mapping[str, Any], plan: C
     }
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
     with os_errors_as_user_error(path):
-        path.write_text(text, encoding="utf-8")
+        write_text(path, text)
 
 
 def write_truth_arrays(path: Path, truths: Sequence[RunTruth]) -> None:

@@ -78,6 +78,35 @@ def test_names_reach_page_matrix_and_table_as_text(examples, tmp_path, suffix):
     assert done.exit_code == 0, done.stderr
 
 
+def test_file_names_need_not_be_text(examples, tmp_path):
+    """A name of bytes that are not UTF-8, with a line break and an escape sequence of terminals."""
+    odd = os.fsdecode(b"a\xff\x1b[31m\nb")
+    for name in ("wind.run.h5", "points.csv", "loads.h5", "model.h5"):
+        try:
+            shutil.copy(examples / name, tmp_path / f"{odd}{name}")
+        except OSError:
+            pytest.skip("a file system of text names")
+    run, table, loads, model = (
+        tmp_path / f"{odd}{name}" for name in ("wind.run.h5", "points.csv", "loads.h5", "model.h5")
+    )
+    cal, out = examples / "cal.h5", tmp_path / f"{odd}out"
+    calls = (
+        ("reduce", "--calibration", cal, "--model", model, run, "-o", f"{out}.h5", "--json", f"{out}.json"),
+        ("calibrate", "-g", examples / "geometry.yaml", table, "-o", f"{out}.h5", "--json", "-"),
+        ("apply", cal, table, "-o", f"{out}.csv"),
+        ("report", loads, model, "-o", f"{out}.html"),
+        ("trend", loads, examples / "wind-loads.h5", "-o", f"{out}.csv"),
+        ("watch", tmp_path, "--once", "--model", model, "-o", tmp_path / "results"),
+    )
+    for words in calls:
+        done = call(*words)
+        assert done.exit_code in (0, 4), done.stderr
+        assert "\x1b[31m" not in done.stderr + done.stdout
+    done = call("merge", tmp_path / f"{odd}none.h5", "-o", f"{out}.h5")
+    assert done.stderr.count("\n") == 1
+    assert "a\\xff\\x1b[31m\\nbnone.h5: there is no such file" in done.stderr
+
+
 @pytest.mark.parametrize(("name", "cell"), [("=1+1", "'=1+1"), ("@x", "'@x"), ("+1|x", "'+1|x"), ("-5deg", "-5deg")])
 def test_a_run_name_is_no_formula(examples, tmp_path, name, cell):
     run = copy_run(examples, tmp_path / "r.h5", name)

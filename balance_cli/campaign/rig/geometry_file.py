@@ -16,6 +16,7 @@ from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import GEOMETRY_FORMAT
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
+from balance_cli.io.text_output import write_text
 from balance_cli.io.validation import validation_faults
 from balance_cli.io.yaml_file import read_yaml
 
@@ -41,7 +42,7 @@ def save_geometry(path: Path, geometry: Geometry) -> None:
     """Write a geometry as YAML, whole or not at all."""
     text = yaml.safe_dump(geometry_to_dict(geometry), sort_keys=False, allow_unicode=True, default_flow_style=None)
     with atomic_write(Path(path)) as part:
-        part.write_text(text, encoding="utf-8")
+        write_text(part, text)
 
 
 def geometry_to_dict(geometry: Geometry) -> dict[str, Any]:

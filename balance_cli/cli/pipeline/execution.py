@@ -20,6 +20,7 @@ from balance_cli.cli.pipeline.folder import LOGS
 from balance_cli.cli.pipeline.state import RememberedOutput, RememberedStep, State, signature
 from balance_cli.cli.pipeline.steps import Plan, Step
 from balance_cli.io.sniff import is_hdf5
+from balance_cli.io.text_output import write_text
 
 START_COMMAND = """
 import _thread, os, signal, sys
@@ -152,7 +153,7 @@ class Execution:
 
     def _record_outcome(self, step: Step, status: int, text: str, seconds: float) -> None:
         """Record the end of a command, and remember it."""
-        (self.results / LOGS / f"{step.name}.txt").write_text(text, encoding="utf-8")
+        write_text(self.results / LOGS / f"{step.name}.txt", text)
         warnings = sum(line.startswith(WARNING_PREFIX) for line in text.splitlines())
         sign, outputs = self._signature(step), {}
         if status in (0, EXIT_RUNS_SKIPPED):

@@ -51,4 +51,4 @@ def write_input_list(folder: Path, inventory: Inventory) -> None:
     """Write the names of geometry and runs, one a line."""
     paths = [inventory.geometry_path, *(run.path for run in inventory.of_kind(*RUN_KINDS))]
     with atomic_write(folder / INPUT_LIST) as part:
-        part.write_text("".join(f"{path}\n" for path in paths), encoding="utf-8")
+        part.write_bytes(b"".join(os.fsencode(path) + b"\n" for path in paths))

@@ -8,6 +8,7 @@ from balance_cli.cli.watching.quick_look import QuickLook
 from balance_cli.io.artefacts import Artefact, content_digest
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.io.text_output import write_text
 
 # A page in a browser cannot look at its own file; it is loaded again, but not while somebody works with it.
 RELOAD_SCRIPT = """<script>
@@ -31,4 +32,4 @@ def write_page(path: Path, quick_look: QuickLook, most_runs: int) -> None:
     artefact = Artefact(LOADS_FORMAT, loads, provenance, content_digest(LOADS_FORMAT, loads, provenance))
     html = build_page(group_sources([(path.with_name("loads.h5"), artefact)])).html
     with atomic_write(path) as part:
-        part.write_text(html.replace("</body>", RELOAD_SCRIPT + "</body>"), encoding="utf-8", newline="\n")
+        write_text(part, html.replace("</body>", RELOAD_SCRIPT + "</body>"))

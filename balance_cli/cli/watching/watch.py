@@ -19,6 +19,7 @@ from balance_cli.cli.watching.quick_look import NoRotorLoadsError, QuickLook
 from balance_cli.io.artefacts import load_artefact, save_artefact
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.io.result_view import plural
 from balance_cli.reduction.result import HubLoads
 from balance_cli.reduction.run_verdict import run_verdict
 
@@ -85,7 +86,7 @@ class Watch:
     def text(self) -> list[str]:
         """Return what became of the files, in a line."""
         counts = ", ".join(f"{count} {word}" for word, count in self.counts.items() if count)
-        return [f"{len(self.results)} files: {counts or 'nothing'}"]
+        return [f"{plural(len(self.results), 'file')}: {counts or 'nothing'}"]
 
     def _inputs_digest(self) -> str:
         """Return the digest of response, calibration, options and version: what the loads depend on beside the run."""
