@@ -200,7 +200,7 @@ def _data_form(header: list[str]) -> DataForm:
         function = int(header[5][:5])
         return DataForm(function, int(fields[0]), int(fields[1]), int(fields[2]) == 1, float(fields[3]), fields[4])
     except (ValueError, IndexError) as error:
-        raise damage_error(f"records 6 and 7 `{header[5].strip()[:40]}`, `{header[6].strip()[:60]}`") from error
+        raise damage_error(f"records 6 and 7 `{' / '.join(line.strip() for line in header[5:7])[:100]}`") from error
 
 
 def _group(path: Path, header: list[str], where: Layout58, number: int) -> tuple[ChannelGroup, list[str]]:

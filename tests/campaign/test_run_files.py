@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from balance_cli.campaign.recording.attribute_checks import kind_faults
 from balance_cli.campaign.recording.dataset_checks import MOST_PULSES
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels, run_digest
 from balance_cli.campaign.recording.run_file import open_run, open_runs, read_run, write_run
@@ -462,3 +463,12 @@ def test_numbers_among_unknown_attributes_are_conditions_of_the_run(path: Path) 
     assert read.digest != plain.digest  # results keep them
     write_run(path, read)
     assert open_run(path).conditions == read.conditions and open_run(path).digest == read.digest
+
+
+@pytest.mark.parametrize("value", [h5py.Empty("f8"), [["Fx"]], 3.0, {}, (), [h5py.Empty("f8")]])
+@pytest.mark.parametrize("name", ["excited", "excitation", "level", "period", "sample_rate", "rotor_speed"])
+def test_attributes_of_any_type_are_faults(name, value):
+    attributes = {"excited": "Fx", "excitation": "random", "level": 1.0, "sample_rate": 9.0, "rotor_speed": 0.0}
+    faults = tuple(kind_faults({"kind": "sweep", **attributes, name: value}))
+    if value != 3.0 or name in ("excited", "excitation"):
+        assert [fault.place for fault in faults if name in fault.place]

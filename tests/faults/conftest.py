@@ -36,6 +36,7 @@ class Examples:
             "matrix": ["calibrate", *g, "--from-matrix", bad, "-o", out / "o.h5"],
             "sweep-tf": ["sweep-tf", *g, bad, "-o", out / "o.h5"],
             "reduce": ["reduce", *self.response, bad, "-o", out / "o.csv"],
+            "reduce in time": ["reduce", *self.response, "--method", "kalman", bad, "-o", out / "o.csv"],
             "report": ["report", bad, "-o", out / "o.html"],
         }[command]
 

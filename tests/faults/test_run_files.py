@@ -122,6 +122,11 @@ CHECK = {
     "pulses decreasing": (data("rotor/pulse_times", lambda a: a[::-1]), "pulse"),
     "one pulse": (data("rotor/pulse_times", lambda a: a[:1]), "pulse"),
     "pulses after the record": (data("rotor/pulse_times", lambda a: a + 100.0), "pulse"),
+    "pulses of 5e-302 s": (
+        data("rotor/pulse_times", lambda a: a * 1e-300),
+        "pulse",
+        ("check", "reduce", "reduce in time"),
+    ),
     "pulses in ms": (data("rotor/pulse_times", lambda a: a * 1000), "pulse"),
     "every other pulse": (data("rotor/pulse_times", lambda a: a[::2]), "pulse"),
     "two pulses a revolution": (data("rotor/pulse_times", lambda a: np.sort(np.r_[a, a[:-1] + 0.025])), "pulse"),

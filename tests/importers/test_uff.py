@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.importers import open_foreign
+from balance_cli.importers.uff import _data_form
 from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
 
@@ -136,3 +137,8 @@ def test_a_file_that_broke_off_is_refused(tmp_path, order, share):
 )
 def test_plausible_rates(step, rate):
     assert plausible_rate(step)[0] == rate
+
+
+def test_a_header_of_too_few_lines_is_damage():
+    with pytest.raises(UserError, match="truncated or damaged"):
+        _data_form(["name", "NONE"])

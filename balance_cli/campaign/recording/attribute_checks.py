@@ -51,7 +51,7 @@ def _is_rotor_speed(speed: object, rate: object) -> bool:
 
 def _sweep_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
     excited, level = (as_list(attributes.get(name)) for name in ("excited", "level"))
-    if not excited or len(set(excited)) < len(excited) or any(name not in COMPONENTS for name in excited):
+    if not excited or any(name not in COMPONENTS or excited.count(name) > 1 for name in excited):
         yield _attribute_fault("excited", attributes.get("excited"), f"of {', '.join(COMPONENTS)}, each once at most")
     excitation, period = attributes.get("excitation"), stated_period(attributes)
     if excitation not in EXCITATIONS:

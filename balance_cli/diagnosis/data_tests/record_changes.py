@@ -115,6 +115,8 @@ def _changes(pair: ComparedPair, settings: DataTestSettings) -> tuple[list[str],
         null = np.zeros(len(TWO_SIDED_KINDS))
         first, last = (fit_ratio(lines, TWO_SIDED_KINDS, null, settings.channel_pairs) for lines in halves)
         free = 2.0 * len(halves[0].s) - len(null)
+        if free <= 0:
+            continue  # as many parameters as readings: nothing tells what they do not describe
         birge = np.sqrt(max(first.chi2 / free, last.chi2 / free, 1.0))
         names.append(pair.runs[number])
         values.append(last.values - first.values)
