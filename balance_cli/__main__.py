@@ -7,6 +7,8 @@ import sys
 
 # With many small matrices BLAS threads cost more than they gain: up to ten times the run time on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The program shows no window; a backend for notebooks in the environment ends the import of matplotlib.
+os.environ["MPLBACKEND"] = "agg"
 
 # [s]. With the default of 5 ms, threads that alternate short numpy calls wait for each other: 10 % of `diagnose`.
 SWITCH_INTERVAL = 5e-4
@@ -27,6 +29,7 @@ def main() -> None:
     """Run the program with the arguments of the command line."""
     # Help writes no file: there Ctrl-C is an ordinary exception.
     handle = not HELP_OPTIONS & set(sys.argv[1:])
+    _open_closed_streams()
     try:
         if handle:
             _handle_signals()
@@ -46,6 +49,23 @@ def main() -> None:
     finally:
         if handle:
             _ignore_signals()  # the exit status is fixed
+
+
+def _open_closed_streams() -> None:
+    """Open the null device for each standard stream that is closed.
+
+    Otherwise the next file that is opened gets its number, and messages are written into it.
+    """
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", errors="backslashreplace", closefd=False))
 
 
 def _keep_freed_memory() -> None:

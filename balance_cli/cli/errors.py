@@ -90,21 +90,34 @@ def _system_fault(error: BaseException) -> str | None:
         return "not enough memory. Raise the memory limit (`ulimit -v`), or give fewer or shorter runs"
     if not isinstance(error, OSError | RuntimeError):
         return None
+    if isinstance(error, FileNotFoundError) and not _has_current_folder():
+        return "the current folder does not exist any more. Change to a folder that does"
     from balance_cli.io.atomic import system_error_number, unwritable_file
 
     if system_error_number(error) not in SYSTEM_ERRORS:
         return None
     name = getattr(error, "filename", None)
+    if name is None and system_error_number(error) == errno.EIO:
+        return "a file cannot be read or written: Input/output error. Check the disk, or copy the files to another one"
     return str(unwritable_file(error, Path(os.fsdecode(name)) if isinstance(name, str | bytes) else None))
 
 
-def _drop_unwritable_output() -> None:
-    """Discard what standard output does not take (disk full), so that the interpreter does not try again at its end."""
+def _has_current_folder() -> bool:
     try:
-        sys.stdout.flush()
+        Path.cwd()
     except OSError:
-        with suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
+
+
+def _drop_unwritable_output() -> None:
+    """Discard what the standard streams do not take (disk full), so that the interpreter does not try at its end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _usage_message(error: click.ClickException) -> str:

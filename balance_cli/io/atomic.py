@@ -27,7 +27,6 @@ COMMIT_LOCK_WAIT = 10.0
 """[s]. Moving files takes milliseconds: a process that locks a folder for longer is stopped, not busy."""
 SHORT_NAME = 24
 """Characters of host and file name in the name of a staged file, so that it is shorter than 255 bytes."""
-
 _PART_NAME = re.compile(r"\.part-\w+-(?P<system>[0-9a-f]{8})-(?P<pid>\d+)-(?P<start>\d+)-\d+-")
 _FORMER_PART_NAME = re.compile(r"\.part-\d+-")
 _HDF5_ERRNO = re.compile(r"errno = (\d+)")
@@ -61,7 +60,8 @@ class StagedOutputs:
             remove_leftovers(target.parent)
         _outputs.staged.add(self)
         part = target.with_name(_part_name(target))
-        self._parts[target], _outputs.targets[part] = part, target
+        # An artefact is staged once more for a staged file.
+        self._parts[target], _outputs.targets[part] = part, _outputs.targets.get(target, target)
         return part
 
     def unstage(self, path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from balance_cli.io import atomic
-from balance_cli.io.atomic import FOREIGN_PART_AGE, StagedOutputs, atomic_write, check_output_folder
+from balance_cli.io.atomic import FOREIGN_PART_AGE, StagedOutputs, atomic_write, check_output_folder, unwritable_file
 from balance_cli.io.errors import UserError
 
 WAIT = 60.0
@@ -172,3 +172,10 @@ def test_a_signal_while_files_are_moved_is_postponed(tmp_path, monkeypatch):
     staged.commit()
     assert calls == [["a", "b"]]
     assert atomic.abandon_outputs(lambda: None) == "outputs were written before"
+
+
+def test_the_error_of_a_file_staged_twice_has_its_final_name(tmp_path):
+    with atomic_write(tmp_path / "a.h5") as outer, atomic_write(outer) as inner:
+        error = unwritable_file(OSError(errno.EFBIG, "too large"), inner)
+        inner.touch()
+    assert error.file == str(tmp_path / "a.h5")
