@@ -14,6 +14,7 @@ from balance_cli.cli.consistency import check_findings, finding_summary
 from balance_cli.cli.errors import EXIT_USER_ERROR
 from balance_cli.cli.options import ListedFile
 from balance_cli.io.errors import UserError
+from balance_cli.io.result_view import plural
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -55,7 +56,7 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     session.extra_summary["consistency"] = [finding_summary(item) for item in consistency]
     session.finish(
         {"files": {str(path): _summary(findings[path], faults[path]) for path in findings}, "faulty": faulty},
-        [*lines, f"{len(findings)} files, {faulty} with faults"],
+        [*lines, f"{plural(len(findings), 'file')}, {faulty} with faults"],
     )
 
 

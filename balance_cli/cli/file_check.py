@@ -131,8 +131,8 @@ def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
         return FileFinding("geometry", "geometry", faults=faults)
     if not faults and not missing_mechanics(geometry):  # effects are looked up in a geometry that is sound
         faults = _effect_faults(geometry, path)
-    about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {len(geometry.cells)} cells, "
-    about += f"{len(geometry.channels)} channels, "
+    about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {plural(len(geometry.cells), 'cell')}, "
+    about += f"{plural(len(geometry.channels), 'channel')}, "
     only_calibrated = bool(missing_mechanics(geometry))
     about += "for calibration only" if only_calibrated else f"free in {' '.join(geometry.freedom)}"
     digest = geometry_digest(geometry)
@@ -246,7 +246,8 @@ def _check_import_map(path: Path, geometry: Geometry | None) -> FileFinding:
         mapping = read_import_map(path)
     except UserError as error:
         return FileFinding(IMPORT_FORMAT, "map of an import", faults=(error,))
-    about = f"map of an import for rig `{mapping.rig}`: {len(mapping.channels)} channels, {len(mapping.runs)} entries"
+    about = f"map of an import for rig `{mapping.rig}`: {plural(len(mapping.channels), 'channel')}"
+    about += f", {plural(len(mapping.runs), 'run')}"
     known = set(geometry.channel_names) if geometry is not None else set()
     names = [channel.name for channel in mapping.channels.values()]
     faults = [

@@ -38,6 +38,10 @@ def command(
     and 58b, TDMS, MDF4, MAT, HDF5, WAV and Parquet are recognized by content. The 1/rev pulses are found in the signal
     of a tachometer, and channels of different rates are resampled.
     """
+    if sketch and output is not None:
+        raise UserError("does not go with --sketch, which prints a map", "-o", remedy="Leave one of them out")
+    if geometry is not None and not sketch:
+        raise UserError("has no meaning without --sketch", "-g", remedy="Leave it out; the map states the rig")
     if sketch:
         _print_sketch(session, files, geometry)
         return

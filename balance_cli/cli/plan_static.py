@@ -33,13 +33,20 @@ def plan_static(
 
 
 def _largest_loads(session: Session, geometry: Path, hall: Path | None) -> Mapping[Component, float]:
-    """The largest loads. Raises UserError where neither hall nor geometry states any."""
+    """The largest loads. Raises UserError where neither states any, or the balance does not measure one of them."""
+    from balance_cli.campaign.rig.load_components import load_components
     from balance_cli.planning.hall import static_load_limits
     from balance_cli.planning.hall_file import load_hall
 
     rig = session.geometry(geometry, mechanics=False)
     try:
-        return static_load_limits(rig, load_hall(hall) if hall is not None else None)
+        largest = static_load_limits(rig, load_hall(hall) if hall is not None else None)
+        components = load_components(rig)
+        unmeasured = [name for name in largest if components.are_hub_loads and name not in components.names]
+        if unmeasured:
+            remedy = f"Give loads of {', '.join(components.names)}"
+            raise UserError(f"this balance does not measure {unmeasured[0]}", place="static_loads", remedy=remedy)
+        return largest
     except UserError as error:
         raise error.with_location(str(hall or geometry)) from error
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from balance_cli.io.result_view import plural
+
 if TYPE_CHECKING:
     from balance_cli.planning.candidate_runs import CandidateRun
     from balance_cli.planning.confusion import ConfusedPair
@@ -131,7 +133,7 @@ def _load_summary(loads: LoadSigma) -> dict[str, Any]:
 
 def plan_text(planned: PlannedCampaign) -> Iterator[str]:
     """Yield the lines of the console summary."""
-    yield f"{len(planned.chosen)} runs in {planned.minutes:.1f} minutes; noise {planned.noise_source}"
+    yield f"{plural(len(planned.chosen), 'run')} in {planned.minutes:.1f} minutes; noise {planned.noise_source}"
     if not planned.complete:
         yield "the time limit came first: not all runs of the hall were tried, or the forecast has fewer rehearsals"
     if planned.made:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -168,7 +169,7 @@ def command(
 
     reduction = Reduction(method_options, geometry, cal, source, None, history, usual_noise=usual_noise)
     reduction, loads = BatchReduction(session, batch, skips).reduce(reduction, runs, zero, output)
-    _finish(session, reduction, loads, output, batch.shard is not None)
+    _finish(session, reduction, loads, output, batch.shard)
 
 
 def _reduce_to_spectra(
@@ -193,7 +194,9 @@ def _reduce_to_spectra(
         session.status = EXIT_RUNS_SKIPPED
 
 
-def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads], output: Path, is_shard: bool) -> None:
+def _finish(
+    session: Session, reduction: Reduction, runs: Mapping[str, RunLoads], output: Path, shard: tuple[int, int] | None
+) -> None:
     """Write the loads and set summary and text; `balance merge` compares the runs of shards with each other."""
     from balance_cli.cli.consistency import flag_contradicted_runs
     from balance_cli.cli.reduce_text import reduction_text, summary
@@ -203,14 +206,17 @@ def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads]
 
     runs = flag_contradicted_runs(session, runs)
     if not reduction.method.frequencies:
-        runs, compared = compare_loads(runs, reduction.calibration, is_shard)
+        runs, compared = compare_loads(runs, reduction.calibration, shard is not None)
         session.warn_of_runs(compared, runs)
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first
     response = text_with_rotor(reduction.source.description, options.rotor)
     loads = HubLoads(method, response, reduction.geometry, runs, warnings or None)
-    write_loads(session, output, loads)
+    provenance = session.provenance()
+    if shard is not None:
+        provenance = replace(provenance, command=f"{provenance.command} --shard {shard[0]}/{shard[1]}")
+    write_loads(session, output, loads, provenance)
     session.finish(summary(loads) if session.writes_json else {}, reduction_text(loads))
 
 
@@ -239,6 +245,8 @@ def _check_options(
     if not has_calibration and (static or has_zero):
         option = "--static" if static else "--zero"
         raise UserError("needs a static calibration", option, remedy="Add --calibration CAL, or leave it out")
+    if transfer is None and _is_given("interpolation"):
+        raise UserError("applies to a measured response", "--interpolation", remedy="Give --transfer, or leave it out")
     check_table_suffix(output)
 
 

@@ -12,6 +12,7 @@ import click
 from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command, output_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import PLAN_FORMAT, RUN_FORMAT
+from balance_cli.io.result_view import plural
 from balance_cli.io.sniff import sniff_format
 
 if TYPE_CHECKING:
@@ -173,8 +174,8 @@ def _source_labels(report_sources: Sources) -> dict[str, str]:
 
 def _report_text(html_page: Page, report_sources: Sources) -> Iterator[str]:
     yield (
-        f"{len(report_sources.all_sources)} artefacts, {len(html_page.sections)} sections, {len(html_page.pictures)} "
-        "pictures"
+        f"{plural(len(report_sources.all_sources), 'artefact')}, {plural(len(html_page.sections), 'section')}, "
+        f"{plural(len(html_page.pictures), 'picture')}"
     )
     for source in report_sources.all_sources:
         yield f"   {source.file}: {source.label}"

@@ -16,6 +16,7 @@ from balance_cli.io.formats import CALIBRATION_FORMAT, MODEL_FORMAT
 from balance_cli.io.result_view import plural
 
 if TYPE_CHECKING:
+    from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.cli.pipeline.execution import Execution, Outcome
     from balance_cli.cli.pipeline.inventory import Inventory
 
@@ -57,7 +58,7 @@ def command(
         raise UserError("is the campaign itself", str(output), remedy="Give another folder, for example one in it")
     state = load_state(output)
     inventory = take_inventory(campaign, geometry, state)
-    inventory = replace(inventory, given=_given_artefacts(session, model, calibration))
+    inventory = replace(inventory, given=_given_artefacts(session, inventory.geometry, model, calibration))
     for path, reason in inventory.left_out.items():
         session.report_left_out(str(path), reason)
     plan = plan_steps(inventory, output)
@@ -75,8 +76,10 @@ def command(
     _finish(session, execution, inventory)
 
 
-def _given_artefacts(session: Session, model: Path | None, calibration: Path | None) -> dict[str, tuple[Path, str]]:
-    """Return the artefacts that were made before {role: (path, digest)}."""
+def _given_artefacts(
+    session: Session, geometry: Geometry, model: Path | None, calibration: Path | None
+) -> dict[str, tuple[Path, str]]:
+    """Return the artefacts that were made before {role: (path, digest)}; UserError where one is of another rig."""
     from balance_cli.calibration.result import Calibration
     from balance_cli.estimation.identified_model import IdentifiedModel
 
@@ -84,11 +87,16 @@ def _given_artefacts(session: Session, model: Path | None, calibration: Path | N
         "model": (model, MODEL_FORMAT, IdentifiedModel),
         "calibration": (calibration, CALIBRATION_FORMAT, Calibration),
     }
-    return {
-        role: (path, session.artefact(path, {form: content}, role).digest)
-        for role, (path, form, content) in types.items()
-        if path is not None
-    }
+    given = {}
+    for role, (path, form, content) in types.items():
+        if path is None:
+            continue
+        artefact = session.artefact(path, {form: content}, role)
+        if artefact.content.geometry.rig != geometry.rig:
+            fault = f"is of rig `{artefact.content.geometry.rig}`, the campaign of `{geometry.rig}`"
+            raise UserError(fault, str(path), "rig", f"Give a {role} of this rig")
+        given[role] = (path, artefact.digest)
+    return given
 
 
 class _ProgressLines:

@@ -11,6 +11,7 @@ import click
 from balance_cli.cli.common import Session, balance_command, geometry_option
 from balance_cli.cli.options import NumberRange, OutputFolder, deprecated_option
 from balance_cli.io.errors import UserError
+from balance_cli.io.result_view import plural
 
 if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
@@ -99,7 +100,9 @@ def command(
         summary = _write_campaign(session, output, rig, runs, pairs, about)
     except UserError as error:
         raise error.with_location(str(geometry)) from error
-    session.finish(summary, [f"{len(runs.runs)} runs of {declared.rig}, their truth in truth.yaml and truth.hdf5"])
+    session.finish(
+        summary, [f"{plural(len(runs.runs), 'run')} of {declared.rig}, their truth in truth.yaml and truth.hdf5"]
+    )
 
 
 def _write_campaign(

@@ -105,13 +105,15 @@ def _modes_of_runs(
     if source.system is None:
         fault = "has no equations of motion, whose modes could be followed"
         raise UserError(fault, str(model), remedy="Give a model of the physical form")
+    if not folder.is_dir():
+        raise UserError("is not a folder", str(folder), remedy="Give the folder of the runs that were reduced")
     wanted = {point.run: point for point in points}
     modes_by_run: dict[str, OperationalModes] = {}
     reasons: list[str] = []
     paths = sorted(folder.glob("*.h5"))
     for path in session.progress(paths, "records", len(paths)):
         try:
-            point = wanted.get(run_header(path, geometry).name)
+            point = wanted.get(run_header(path, None).name)
         except UserError:
             continue  # another file of the folder
         try:

@@ -130,7 +130,7 @@ def _modes_of_run(modes: OperationalModes | None) -> dict[str, Any]:
 
 def trend_text(result: TrendResult) -> Iterator[str]:
     """Yield the text for the user."""
-    yield f"{len(result.points)} runs over {result.attribute} ({_span(result.values)})"
+    yield f"{plural(len(result.points), 'run')} over {result.attribute} ({_span(result.values)})"
     head = ("", "quantity", "slope", "sigma", "p-value", "scatter/sigma")
     yield "   {:10}{:>10}{:>13}{:>11}{:>10}{:>15}".format(*head)
     for trend in result.trends:

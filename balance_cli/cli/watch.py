@@ -64,6 +64,8 @@ def command(
     from balance_cli.cli.pipeline.folder import locked_folder
 
     _check_options(folder, model, transfer, output)
+    if zero is not None and calibration is None:
+        raise UserError("needs a static calibration", "--zero", remedy="Add --calibration CAL, or leave it out")
     cal = read_calibration(session, calibration)
     with locked_folder(output):
         watch = _start(session, folder, (cal, model, transfer, zero, harmonics), output, page_runs)

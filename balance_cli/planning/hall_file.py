@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from balance_cli.io.errors import UserError
-from balance_cli.io.sniff import describe_file, require_file
+from balance_cli.io.sniff import describe_file, require_file, sniff_format
 from balance_cli.io.validation import validation_faults
 from balance_cli.io.yaml_file import read_yaml
 from balance_cli.planning.hall import HALL_FORMAT, Hall
@@ -22,6 +22,8 @@ def load_hall(path: Path) -> Hall:
         declared = read_yaml(path, "a hall")
         if not isinstance(declared, dict):
             raise UserError("holds no keys", remedy=f"Begin it with `format: {HALL_FORMAT}`")
+        if declared.get("format") != HALL_FORMAT and sniff_format(path) is not None:
+            raise UserError(f"is {describe_file(path)}, where a hall was expected", remedy="Give the file of a hall")
         try:
             return Hall.model_validate(declared)
         except ValidationError as error:

@@ -97,7 +97,8 @@ def plan_static_schedule(
     terms = schedule_terms(len(components), term_set)
     if not len(terms) + 1 <= points <= MOST_POINTS:
         fault = f"{points} points are not {len(terms) + 1} (the coefficients) to {MOST_POINTS}"
-        raise UserError(fault, "--points", remedy="Give more points, or fewer --terms")
+        remedy = "Give fewer points" if points > MOST_POINTS else "Give more points, or fewer --terms"
+        raise UserError(fault, "--points", remedy=remedy)
     candidates = candidate_points(len(components), min(together, len(components)), LEVELS[term_set])
     selection = _exchange(_design(terms, candidates), _start(_design(terms, candidates), points))
     optimal = _describe(candidates[np.sort(selection)], terms, components)

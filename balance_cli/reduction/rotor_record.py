@@ -213,17 +213,21 @@ def tone_record(
     The phase counts from the first sample. Raises UserError where the record holds too few cycles or no channel.
     """
     health = usable_channels(run, geometry, source)
-    duration = (run.samples - 1) / sample_rate(run)
-    cycles = int(duration * frequency)
+    azimuth = azimuth_from_pulses(np.arange(count_cycles(run, frequency) + 1) / frequency)
+    tones = tones_beside(frequency, others, (run.samples - 1) / sample_rate(run), FITTED_HARMONICS)
+    return replace(_record(run, azimuth, 1, geometry, source, health, tones), fixed_frequency=True)
+
+
+def count_cycles(run: Run, frequency: float) -> int:
+    """Return the whole cycles of a tone [Hz] in a record; UserError where they are too few, or the rate is too low."""
+    if frequency >= BELOW_NYQUIST * sample_rate(run) / 2.0:
+        fault = f"{frequency:g} Hz is beyond half the sample rate of {sample_rate(run):g} Hz"
+        raise UserError(fault, _place(run), "--frequencies", "Give lower frequencies")
+    cycles = int((run.samples - 1) / sample_rate(run) * frequency)
     if cycles < FEWEST_REVOLUTIONS:
         fault = f"holds {cycles} cycles of {frequency:g} Hz; at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, _place(run), "--frequencies", "Record for longer, or give a higher frequency")
-    if frequency >= BELOW_NYQUIST * sample_rate(run) / 2.0:
-        fault = f"{frequency:g} Hz is beyond half the sample rate, {sample_rate(run):g} Hz"
-        raise UserError(fault, _place(run), "--frequencies", "Give lower frequencies")
-    azimuth = azimuth_from_pulses(np.arange(cycles + 1) / frequency)
-    tones = tones_beside(frequency, others, duration, FITTED_HARMONICS)
-    return replace(_record(run, azimuth, 1, geometry, source, health, tones), fixed_frequency=True)
+    return cycles
 
 
 def at_constant_speed(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> RotorRecord | None:

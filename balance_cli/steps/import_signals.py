@@ -167,7 +167,10 @@ class ChannelFinder:
         if time.group.samples != group.samples and group.stride == 1:
             fault = f"the time `{time.name}` has {time.group.samples} samples, channels have {group.samples}"
             raise UserError(fault, str(time.file.path), remedy="Give the time of these channels, or `sample_rate`")
-        unit = parse_unit(self._map.time_unit or time.unit or "s", "s")
+        try:
+            unit = parse_unit(self._map.time_unit or time.unit or "s", "s")
+        except UserError as error:
+            raise error.with_location(str(time.file.path), f"time `{time.name}`") from error
         try:
             axis = read_time_axis(
                 lambda columns, a, b: time.group.read([time.column], a, b), time.group.samples, unit.factor

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 from balance_cli.campaign.rig.geometry_file import geometry_digest
@@ -15,6 +17,10 @@ from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.steps.contradicted_loads import compare_with_other_runs
 
 RUN_ROLE = "run"
+SHARD = re.compile(r"--shard (\d{1,9})/(\d{1,9})$")
+"""The end of the command that made a shard."""
+MOST_LISTED = 5
+"""Missing shards that a message names."""
 REMEDY = "Merge shards of one reduction: the same options, calibration, response and zero run"
 
 
@@ -31,7 +37,8 @@ class Shard:
 class MergedShards:
     """The loads of all shards; options and inputs of their reduction; the number of runs of each file.
 
-    `new_warnings`: what the comparison of runs of different shards says.
+    `new_warnings`: what the comparison of runs of different shards says. `missing`: shards of the reduction that are
+    not among them, `2/3`, as far as the others tell how many there are.
     """
 
     loads: HubLoads
@@ -39,6 +46,7 @@ class MergedShards:
     inputs: tuple[Input, ...]
     counts: Mapping[str, int]
     new_warnings: tuple[str, ...]
+    missing: tuple[str, ...] = ()
 
 
 class _Ordered(Mapping[str, RunLoads]):
@@ -69,7 +77,9 @@ def merge_loads(shards: Iterable[Shard]) -> MergedShards:
     warnings: set[str] = set()
     inputs: dict[Input, None] = {}
     counts: dict[str, int] = {}
+    commands: list[str] = []
     for shard in shards:
+        commands.append(shard.provenance.command)
         reduction = _Reduction.of(shard)
         first = first or reduction
         difference = _difference(first, reduction)
@@ -89,7 +99,21 @@ def merge_loads(shards: Iterable[Shard]) -> MergedShards:
     if first.loads.method != FREQUENCIES:
         ordered, new_warnings = compare_with_other_runs(ordered)
     merged = replace(first.loads, runs=ordered, warnings=tuple(sorted({*warnings, *new_warnings})) or None)
-    return MergedShards(merged, first.provenance.options, tuple(inputs), counts, new_warnings)
+    return MergedShards(
+        merged, first.provenance.options, tuple(inputs), counts, new_warnings, _missing_shards(commands)
+    )
+
+
+def _missing_shards(commands: Iterable[str]) -> tuple[str, ...]:
+    """Return the shards that are missing beside those that these commands made."""
+    numbers = [match.groups() for command in commands if (match := SHARD.search(command))]
+    found, totals = {int(number) for number, _ in numbers}, {int(total) for _, total in numbers}
+    if len(totals) != 1:
+        return ()  # none that tells, or parts of several divisions
+    total = totals.pop()
+    missing = (f"{number}/{total}" for number in range(1, total + 1) if number not in found)
+    listed, more = tuple(islice(missing, MOST_LISTED)), total - len(found) - MOST_LISTED
+    return (*listed, f"{more} more") if more > 0 else listed
 
 
 @dataclass(frozen=True)

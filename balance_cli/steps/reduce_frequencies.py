@@ -18,7 +18,7 @@ from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.reliability import join_harmonics
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors, RunLoads
-from balance_cli.reduction.rotor_record import tone_record
+from balance_cli.reduction.rotor_record import count_cycles, tone_record
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.steps.reduce import flag_scale_contradiction, reduce_record
@@ -55,9 +55,11 @@ def reduce_run_at_frequencies(
 
 
 def with_pulses_at(run: Run, frequency: float) -> Run:
-    """Return a run as if a rotor of constant speed `frequency` [Hz] had given a pulse at the first sample."""
-    cycles = int((run.samples - 1) / sample_rate(run) * frequency)
-    return replace(run, pulse_times=np.arange(cycles + 1) / frequency, rotor_speed=0.0)
+    """Return a run as if a rotor of constant speed `frequency` [Hz] had given a pulse at the first sample.
+
+    Raises UserError where the record holds too few revolutions, or too few samples in each.
+    """
+    return replace(run, pulse_times=np.arange(count_cycles(run, frequency) + 1) / frequency, rotor_speed=0.0)
 
 
 def _join_tones(parts: Sequence[RunLoads]) -> RunLoads:

@@ -191,6 +191,9 @@ def test_shards_of_two_reductions_are_not_merged(folder, tmp_path):
     files = [str(tmp_path / "1.h5"), str(tmp_path / "2.h5")]
     done = CliRunner().invoke(balance, ["merge", *files, "-o", str(tmp_path / "l.h5")])
     assert done.exit_code == 2 and "an option of the reduction" in done.stderr and "2.h5" in done.stderr
+    done = CliRunner().invoke(balance, ["merge", files[0], "-o", str(tmp_path / "part.h5")])
+    assert done.exit_code == 0
+    assert "missing: shard 2/9, 3/9, 4/9, 5/9, 6/9, 3 more" in done.stderr
     done = CliRunner().invoke(balance, ["merge", files[0], files[0], "-o", str(tmp_path / "l.h5")])
     assert done.exit_code == 2 and "wind-00000" in done.stderr
 

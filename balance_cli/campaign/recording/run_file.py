@@ -109,10 +109,10 @@ def stated_reading_units(path: Path) -> dict[str, str]:
 
 
 @read_urls()
-def run_header(path: Path, geometry: Geometry) -> Run:
-    """Return a run of this rig by what its file holds beside the samples, without digest and additions.
+def run_header(path: Path, geometry: Geometry | None) -> Run:
+    """Return a run by what its file holds beside the samples, without digest and additions.
 
-    Raises UserError for the first fault that shows so.
+    Raises UserError for the first fault that shows so, such as another rig than that of a geometry.
     """
     try:
         run, faults = _read_header_alone(path)
@@ -167,8 +167,8 @@ def open_matching_run(path: Path, geometry: Geometry, hold: bool = False) -> Run
     return with_hub_loads(run, geometry)
 
 
-def _require_match(run: Run, geometry: Geometry) -> None:
-    mismatch = next(geometry_mismatches(run, geometry), None)
+def _require_match(run: Run, geometry: Geometry | None) -> None:
+    mismatch = geometry and next(geometry_mismatches(run, geometry), None)
     if mismatch:
         raise mismatch
 

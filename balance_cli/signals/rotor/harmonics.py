@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
+from balance_cli.io.result_view import plural
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
@@ -181,8 +182,9 @@ def count_regressed_harmonics(run: Run, azimuth: Azimuth, n: int, interval: tupl
     fastest = float(np.max(azimuth.speed(np.linspace(*interval, 2048))))
     possible = int(BELOW_NYQUIST * run.sample_rate / 2 / fastest)
     if possible < n:
-        fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate, {run.sample_rate:g} Hz"
-        raise UserError(fault, str(run.path or run.name), "sample_rate", f"Request at most {possible} harmonics")
+        fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate of {run.sample_rate:g} Hz"
+        remedy = f"Request at most {plural(possible, 'harmonic')}" if possible else "Record at a higher rate"
+        raise UserError(fault, str(run.path or run.name), "sample_rate", remedy)
     return min(possible, max(FITTED_HARMONICS, n + 4))
 
 
