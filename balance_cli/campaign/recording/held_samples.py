@@ -61,7 +61,7 @@ def held_samples(run: Run) -> dict[int, Integers]:
     """
     if run.excitation == "impact" or run.samples < LEAST_HELD:
         return {}
-    found = {}
+    held = {}
     for column in np.flatnonzero(_screen(run)).tolist():
         x = np.concatenate([block.channels[:, column] for block in run.blocks()])
         parts = [_held(x)]
@@ -70,8 +70,8 @@ def held_samples(run: Run) -> dict[int, Integers]:
             parts += [_excess_zeros(x, peak), _excess_zeros(_differences(x), peak) + 1]
         index = np.unique(np.concatenate(parts))
         if len(index):
-            found[column] = index
-    return found
+            held[column] = index
+    return held
 
 
 def _screen(run: Run) -> NDArray[np.bool_]:
