@@ -276,3 +276,8 @@ def test_loads_in_time(runs, calibration, model):
 def test_nothing_to_reduce(runs, calibration):
     with pytest.raises(bal.UserError, match="no check or wind run"):
         bal.reduce(runs["static"], calibration, "static")
+
+
+def test_what_is_no_result_is_not_saved(tmp_path):
+    with pytest.raises(TypeError, match="str is not a result"):
+        balance_cli.save_artefact(tmp_path / "x.h5", "a path")

@@ -76,10 +76,13 @@ def save_artefact(
     """Write a result as an artefact that every command reads; returns its digest.
 
     `inputs` (runs and geometry) and `options` that differ from their defaults are recorded. With those of the command
-    the digest is that of the command. Raises UserError where the file cannot be written.
+    the digest is that of the command. Raises UserError where the file cannot be written, TypeError for what is no
+    result.
     """
     entries = tuple(_input_entry(item) for item in inputs)
-    format = next(name for name, type_ in TYPES.items() if isinstance(result, type_))
+    format = next((name for name, type_ in TYPES.items() if isinstance(result, type_)), None)
+    if format is None:
+        raise TypeError(f"{type(result).__name__} is not a result that can be saved")
     provenance = artefacts.make_provenance(COMMANDS[type(result)], options or {}, entries)
     return artefacts.save_artefact(Path(path), format, result, provenance)
 
