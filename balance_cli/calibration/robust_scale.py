@@ -73,8 +73,8 @@ def load_error_sigma(errors: Array, predicted: Array) -> Array:
     size = np.abs(predicted)
     far = np.isfinite(errors) & (size >= FAR_SHARE * np.max(size, axis=0)) & (size > 0.0)
     ratio = np.where(far, np.abs(errors) / np.where(far, size, 1.0), 0.0)
-    told = np.count_nonzero(far, axis=0) >= MIN_FAR_ROWS
-    share = np.array([robust_sigma(ratio[far[:, c], c, None])[0] if told[c] else 0.0 for c in range(len(told))])
+    known = np.count_nonzero(far, axis=0) >= MIN_FAR_ROWS
+    share = np.array([robust_sigma(ratio[far[:, c], c, None])[0] if known[c] else 0.0 for c in range(len(known))])
     return np.asarray(np.clip(share, USUAL_LOAD_ERROR, LARGEST_LOAD_ERROR) * size)
 
 

@@ -39,6 +39,6 @@ def test_a_weight_that_was_forgotten_is_found_beside_them(wrong):
 def test_load_errors_are_told_by_the_rows_that_show_them():
     rng = np.random.default_rng(3)
     predicted = np.concatenate([np.zeros(400), rng.uniform(0.3, 1.0, 200)])[:, None]
-    for share, told in ((6e-4, 6e-4), (1e-2, LARGEST_LOAD_ERROR), (1e-6, USUAL_LOAD_ERROR)):
+    for share, known in ((6e-4, 6e-4), (1e-2, LARGEST_LOAD_ERROR), (1e-6, USUAL_LOAD_ERROR)):
         errors = 1e-7 * rng.normal(size=predicted.shape) + share * predicted * rng.normal(size=predicted.shape)
-        np.testing.assert_allclose(load_error_sigma(errors, predicted), told * predicted, rtol=0.15)
+        np.testing.assert_allclose(load_error_sigma(errors, predicted), known * predicted, rtol=0.15)

@@ -3,10 +3,10 @@
 Both need no model and no other channel. What must not be mistaken for them is a coarse converter, which repeats values
 by chance, and a slow signal, which dwells at a peak.
 
-- A stretch of identical samples is held if chance does not make it: with the share p of stretches of two samples or
+- A segment of identical samples is held if chance does not make it: with the share p of segments of two samples or
   more around it, one of n samples begins one of length L with probability p^(L - 1). It must also end, or begin, with a
   step of several times the converter's: a slow signal leaves the value at which it dwells by a single one.
-- All samples of a channel are held if its stretches have one length, or multiples of it: it was read at a lower rate.
+- All samples of a channel are held if its segments have one length, or multiples of it: it was read at a lower rate.
 - Exact zeros are dropped out if they are far more frequent than each of the values next to zero. They may be single
   samples: each is an error of the opposite sign of the signal, so that amplitudes are too small by their share. The
   same holds of differences of neighboring samples: single samples that repeat the one before.
@@ -27,18 +27,18 @@ from balance_cli.campaign.recording.run import Array, Run
 Integers = NDArray[np.int64]
 
 LEAST_HELD = 5
-"""Samples of the shortest stretch that the values around it can prove, with NEIGHBORHOOD and CHANCE as they are."""
+"""Samples of the shortest segment that the values around it can prove, with NEIGHBORHOOD and CHANCE as they are."""
 NEIGHBORHOOD = 512
-"""Samples on either side of a stretch that tell how often values repeat there."""
+"""Samples on either side of a segment that tell how often values repeat there."""
 CHANCE = 1e-6
-"""Probability that a record without held samples has a stretch that is taken for held."""
+"""Probability that a record without held samples has a segment that is taken for held."""
 STEPS_OF_CONVERTER = 4.0
-"""Steps of the converter beyond which a stretch is not a peak: a parabola that dwells for five samples or more moves by
+"""Steps of the converter beyond which a segment is not a peak: a parabola that dwells for five samples or more moves by
 less than one step in the next sample, and noise that dwells is smaller than a step."""
 ROUNDING = 16.0 * float(np.finfo(np.float32).eps)
 """Of the largest magnitude: samples stored in single precision repeat at peaks, too."""
-FEWEST_STRETCHES, REGULAR_SHARE = 50, 0.98
-"""Stretches, and share of them with one length or multiples of it, that tell a lower rate: of a slow signal in coarse
+FEWEST_SEGMENTS, REGULAR_SHARE = 50, 0.98
+"""Segments, and share of them with one length or multiples of it, that tell a lower rate: of a slow signal in coarse
 steps no two thirds have."""
 LEAST_ZEROS = 12
 """Exact zeros, of samples or of differences, below which their number says nothing."""
@@ -77,7 +77,7 @@ def held_samples(run: Run) -> dict[int, Integers]:
 def _screen(run: Run) -> NDArray[np.bool_]:
     """Return which columns have LEAST_HELD identical samples in a row, or LEAST_ZEROS zeros or repeats."""
     columns = len(run.channel_names)
-    stretches, repeats, zeros = np.zeros(columns, bool), np.zeros(columns, int), np.zeros(columns, int)
+    segments, repeats, zeros = np.zeros(columns, bool), np.zeros(columns, int), np.zeros(columns, int)
     last = np.empty((0, columns))
     for block in run.blocks():
         x = np.concatenate([last, block.channels]) if len(last) else block.channels
@@ -86,15 +86,15 @@ def _screen(run: Run) -> NDArray[np.bool_]:
             several = equal[LEAST_HELD - 2 :].copy()
             for k in range(LEAST_HELD - 2):
                 several &= equal[k : len(equal) - (LEAST_HELD - 2 - k)]
-            stretches |= several.any(axis=0)
+            segments |= several.any(axis=0)
             repeats += np.count_nonzero(equal, axis=0)
         zeros += np.count_nonzero(block.channels == 0.0, axis=0)
         last = block.channels[-(LEAST_HELD - 1) :]
-    return np.asarray(stretches | (np.maximum(zeros, repeats) >= LEAST_ZEROS))
+    return np.asarray(segments | (np.maximum(zeros, repeats) >= LEAST_ZEROS))
 
 
 def _held(x: Array) -> Integers:
-    """Return the samples of a channel (n,) after the first of each stretch that is held, or all of one of zeros."""
+    """Return the samples of a channel (n,) after the first of each segment that is held, or all of one of zeros."""
     starts = np.concatenate([[0], np.flatnonzero(x[1:] != x[:-1]) + 1])
     lengths = np.diff(starts, append=len(x))
     if _has_lower_rate(lengths):
@@ -113,9 +113,9 @@ def _held(x: Array) -> Integers:
 
 
 def _has_lower_rate(lengths: Integers) -> bool:
-    """Whether stretches of a channel have one length, or multiples of it, but for the first and the last."""
+    """Whether segments of a channel have one length, or multiples of it, but for the first and the last."""
     inside = lengths[1:-1]
-    if len(inside) < FEWEST_STRETCHES or np.count_nonzero(inside >= 2) < REGULAR_SHARE * len(inside):
+    if len(inside) < FEWEST_SEGMENTS or np.count_nonzero(inside >= 2) < REGULAR_SHARE * len(inside):
         return False
     usual = int(np.median(inside))
     return bool(np.mean(inside % usual == 0) > REGULAR_SHARE)
@@ -128,7 +128,7 @@ def _is_inside(x: Array, index: Integers) -> NDArray[np.bool_]:
 
 
 def _share_of_repeats(starts: Integers, lengths: Integers, at: Integers) -> Array:
-    """Return the share of stretches of two samples or more around some of them, which do not count themselves."""
+    """Return the share of segments of two samples or more around some of them, which do not count themselves."""
     counted = np.concatenate([[0], np.cumsum(lengths >= 2)])
     low = np.searchsorted(starts, starts[at] - NEIGHBORHOOD)
     high = np.searchsorted(starts, starts[at] + lengths[at] + NEIGHBORHOOD)
@@ -137,13 +137,13 @@ def _share_of_repeats(starts: Integers, lengths: Integers, at: Integers) -> Arra
 
 
 def _edge_steps(x: Array, starts: Integers, lengths: Integers, at: Integers) -> Array:
-    """Return the larger of the steps into and out of some stretches, of those that are finite."""
+    """Return the larger of the steps into and out of some segments, of those that are finite."""
     first, stop = starts[at], np.minimum(starts[at] + lengths[at], len(x) - 1)
     return np.asarray(np.fmax(np.abs(x[first] - x[first - 1]), np.abs(x[first] - x[stop])))
 
 
 def _least_step(x: Array, starts: Integers) -> float:
-    """Return the step from which the edge of a stretch is not that of a slow signal."""
+    """Return the step from which the edge of a segment is not that of a slow signal."""
     finite = np.abs(x[np.isfinite(x)])
     return max(STEPS_OF_CONVERTER * _converter_step(x, starts), ROUNDING * float(finite.max(initial=0.0)))
 
@@ -190,7 +190,7 @@ def _smallest(sizes: Array, count: int) -> Array:
     return np.asarray(sizes[sizes <= few[min(int(count / len(sizes) * len(few)) + 1, len(few) - 1)]])
 
 
-def _samples(stretches: Iterable[tuple[int, int]]) -> Integers:
-    """Return the indices of some stretches (first, stop)."""
-    parts = [np.arange(first, stop, dtype=np.int64) for first, stop in stretches]
+def _samples(segments: Iterable[tuple[int, int]]) -> Integers:
+    """Return the indices of some segments (first, stop)."""
+    parts = [np.arange(first, stop, dtype=np.int64) for first, stop in segments]
     return np.concatenate([np.empty(0, np.int64), *parts])
