@@ -24,7 +24,7 @@ def changed(change, seed=0, **of_run) -> Run:
 
 
 def dropped(length, value=None, places=PLACES):
-    """Stretches of a value, or of the sample before each."""
+    """Segments of a value, or of the sample before each."""
 
     def change(x):
         for place in places:
@@ -41,7 +41,7 @@ def index_of(length, held=False, places=PLACES):
 @pytest.mark.parametrize("mean", [0.0, 5.0])
 @pytest.mark.parametrize("length", [5, 20, 32])
 @pytest.mark.parametrize("value", [None, 0.0])
-def test_stretches_that_are_held_or_zero_are_found(length, value, mean):
+def test_segments_that_are_held_or_zero_are_found(length, value, mean):
     run = changed(lambda x: dropped(length, value)(x + mean))
     found = held_samples(run)
     assert list(found) == [0]
