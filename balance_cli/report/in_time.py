@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from balance_cli.reduction.choices import LOAD_MODEL_TEXTS
-from balance_cli.reduction.kalman.innovations import InnovationTests
+from balance_cli.reduction.kalman.innovations import InnovationTests, rms_autocorrelation, slow_power
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
 from balance_cli.reduction.trust import (
     LARGEST_AUTOCORRELATION,
     LARGEST_NIS,
+    LARGEST_SLOW_POWER,
     SMALLEST_NIS,
     innovations_are_correlated,
     innovations_have_wrong_size,
@@ -64,7 +63,7 @@ def runs_in_time(loads: HubLoads) -> dict[str, TimeDomainResult]:
 
 def innovation_tests_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
     """Return the table of NIS and whiteness of every run and method."""
-    head = ("", "NIS", "whiteness", "rms autocorrelation", "samples")
+    head = ("", "NIS", "whiteness", "rms autocorrelation", "slow power", "samples")
     rows: list[Row] = []
     for source in load_sources:
         runs = runs_in_time(source.content)
@@ -77,8 +76,10 @@ def innovation_tests_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
             ]
     caption = (
         "Innovations of all channels together; small: one standard deviation for a consistent filter. Marked, and the "
-        f"loads flagged `filter contradicted`: NIS not within {SMALLEST_NIS:g} to {LARGEST_NIS:g}, or an rms "
-        f"autocorrelation over {LARGEST_AUTOCORRELATION:g}, which does not grow with the record as the whiteness does."
+        f"loads flagged `filter contradicted`: NIS not within {SMALLEST_NIS:g} to {LARGEST_NIS:g}, an rms "
+        f"autocorrelation over {LARGEST_AUTOCORRELATION:g} beyond chance, or a slow power over {LARGEST_SLOW_POWER:g}. "
+        "That is the spectral density of a channel toward zero frequency over that of white innovations. Unlike the "
+        "whiteness, these do not grow with the record."
     )
     return Table(caption, (tuple(TableCell(text) for text in head),), tuple(rows))
 
@@ -101,7 +102,8 @@ def innovation_tests_row(name: str, tests: InnovationTests | None) -> Row:
         TableCell(name, mark="name"),
         TableCell(format_fixed(tests.nis, 3), format_fixed(tests.nis_sigma, 3), size),
         TableCell(format_significant(tests.whiteness), format_significant(tests.whiteness_sigma, 1), correlated),
-        TableCell(format_significant(float(np.sqrt(tests.whiteness / tests.samples)), 2), mark=correlated),
+        TableCell(format_significant(rms_autocorrelation(tests), 2), mark=correlated),
+        TableCell(format_fixed(slow_power(tests), 2), mark=correlated),
         TableCell(str(tests.samples)),
     )
 

@@ -10,7 +10,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import FLAGS, join_flags
 from balance_cli.reduction.harmonic_loads import harmonic_loads
-from balance_cli.reduction.kalman.innovations import InnovationTests
+from balance_cli.reduction.kalman.innovations import InnovationTests, slow_power
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
@@ -160,19 +160,23 @@ def test_an_old_model_without_its_error_is_contradicted_as_a_whole(campaign, cal
 
 
 @pytest.mark.parametrize(
-    ("nis", "whiteness", "samples", "contradicted"),
+    ("nis", "rms", "lasting", "samples", "contradicted"),
     [
-        (0.96, 1.0, 20000, False),
-        (0.97, 7.4, 24000, False),
-        (251.0, 1.0, 20000, True),
-        (0.5, 1.0, 20000, True),
-        (0.98, 51.0, 24000, True),
+        (0.96, 0.0, 0.0, 20000, False),
+        (0.97, 0.018, 0.0, 24000, False),
+        (1.02, 0.076, 0.0, 20666, False),  # a spectrum unlike that of the load model: the loads are right
+        (1.0, 0.0, 0.0, 600, False),  # by chance 0.04 in so few samples
+        (251.0, 0.0, 0.0, 20000, True),
+        (0.5, 0.0, 0.0, 20000, True),
+        (1.2, 0.2, 0.0, 20000, True),
+        (0.98, 0.046, 0.1, 24000, True),  # a step of a load
     ],
 )
 def test_innovations_contradict_a_filter(
-    campaign, calibration, identified, check, nis, whiteness, samples, contradicted
+    campaign, calibration, identified, check, nis, rms, lasting, samples, contradicted
 ):
-    tests = InnovationTests(nis, 0.002, whiteness, 0.08, {}, samples)
+    rho = {"z1.piezo": lasting + rms * np.cos(2.0 * np.arange(1, 21)), "z2.piezo": np.zeros(20)}
+    tests = InnovationTests(nis, 0.002, 1.0 + samples * rms**2, 0.08, {}, samples, rho, np.full(20, samples))
     assert filter_is_contradicted(tests) == contradicted
     marks = [cell.mark for cell in innovation_tests_row("wind-1", tests)]
     assert ("bad" in marks) == contradicted
@@ -180,6 +184,13 @@ def test_innovations_contradict_a_filter(
     words = reduced_words(flag_filter(loads, tests))
     assert ("filter contradicted" in words) == contradicted
     assert not filter_is_contradicted(None)
+
+
+def test_a_lasting_correlation_has_slow_power():
+    """1 + 2 sum w rho with the window of Bartlett, whose weights sum to half the number of lags."""
+    tests = InnovationTests(1.0, 0.002, 1.0, 0.08, {}, 1000, {"a": np.full(20, 0.1), "b": np.zeros(20)})
+    assert slow_power(tests) == pytest.approx(1.0 + 2.0 * 0.1 * 10.0)
+    assert slow_power(InnovationTests(1.0, 0.002, 1.0, 0.08, {}, 1000)) == 1.0
 
 
 def test_without_any_usable_channel_the_reason_is_named(campaign, calibration, identified, check):

@@ -75,3 +75,20 @@ class InnovationSums:
             autocorrelation=dict(zip(names, rho.T, strict=True)),
             pairs=self.pairs,
         )
+
+
+def rms_autocorrelation(tests: InnovationTests) -> float:
+    """Return the root-mean-square autocorrelation of innovations, without that of white ones in so many samples."""
+    return float(np.sqrt(max(tests.whiteness - 1.0, 0.0) / tests.samples))
+
+
+def slow_power(tests: InnovationTests) -> float:
+    """Return the largest spectral density of a channel's innovations toward zero frequency, over that of white ones.
+
+    From their autocorrelations with the window of Bartlett. One where these are not known.
+    """
+    rho = np.array(list((tests.autocorrelation or {}).values()))
+    if not rho.size:
+        return 1.0
+    window = 1.0 - np.arange(1, rho.shape[1] + 1) / (rho.shape[1] + 1)
+    return float(np.max(1.0 + 2.0 * rho @ window))
