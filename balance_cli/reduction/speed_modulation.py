@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run, SampleBlock, SampleSource
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Acquisition, Geometry
+from balance_cli.reduction.measured_response import highest_frequency, lowest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.interpolating_spline import PiecewisePolynomial, interpolating_spline
@@ -70,8 +71,12 @@ class ChannelResponse:
     acquisition: Acquisition
 
     def at(self, frequency: Array) -> ComplexArray:
-        """Return the response (k, c, 6) at frequencies (k,) [Hz]."""
-        return self.source.at(frequency, self.spin)[:, list(self.rows)] * self.filter(frequency)[:, None, None]
+        """Return the response (k, c, 6) at frequencies (k,) [Hz].
+
+        Beyond a measured band it is that of the band's end: lines so far from their harmonic are weak.
+        """
+        measured = np.clip(frequency, lowest_frequency(self.source), highest_frequency(self.source))
+        return self.source.at(measured, self.spin)[:, list(self.rows)] * self.filter(frequency)[:, None, None]
 
     def filter(self, frequency: Array) -> ComplexArray:
         """Return the response (k,) of the anti-alias filter, which is that of the recorded loads."""
