@@ -51,9 +51,9 @@ SMALLEST_NIS, LARGEST_NIS = 0.8, 1.25
 LARGEST_AUTOCORRELATION = 0.15
 """Root-mean-square autocorrelation of the innovations, beyond chance, of a filter that follows its record.
 
-A line that adds the share p to their variance makes it p/(1 + p)/sqrt(2), 0.14 at the limit of the NIS. A spectrum of
-the fluctuation unlike that of the load model makes up to 0.08 in records of other rigs, whose loads are right and whose
-histories lie within their sigma. Unlike the whiteness statistic it does not grow with the length of the record.
+A line that adds the share p to their variance makes it p/(1 + p)/sqrt(2), 0.14 at the limit of the NIS. It is up to
+0.08 in records of six simulated rigs whose loads are right, probably as their fluctuation has another spectrum than the
+load model. Unlike the whiteness statistic it does not grow with the length of the record.
 """
 LARGEST_SLOW_POWER = 2.0
 """Spectral density of the innovations of a channel toward zero frequency, over that of white ones, where the filter
