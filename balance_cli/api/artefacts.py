@@ -28,7 +28,7 @@ from balance_cli.signals.response.transfer import Transfer
 
 Result = Calibration | Transfer | IdentifiedModel | Diagnosis | HubLoads | LoadSpectra
 
-TYPES: Mapping[str, type[Any]] = {
+ARTEFACT_TYPES: Mapping[str, type[Any]] = {
     CALIBRATION_FORMAT: Calibration,
     TRANSFER_FORMAT: Transfer,
     MODEL_FORMAT: IdentifiedModel,
@@ -63,7 +63,7 @@ def load_artefact(path: PathLike) -> Any:
       bare: 121 rows, condition 7.4, largest residual 0.0325 % FS (Mx)
     >>> folder.cleanup()
     """
-    return artefacts.load_artefact(Path(path), TYPES).content
+    return artefacts.load_artefact(Path(path), ARTEFACT_TYPES).content
 
 
 def save_artefact(
@@ -80,7 +80,7 @@ def save_artefact(
     result.
     """
     entries = tuple(_input_entry(item) for item in inputs)
-    format = next((name for name, type_ in TYPES.items() if isinstance(result, type_)), None)
+    format = next((name for name, type_ in ARTEFACT_TYPES.items() if isinstance(result, type_)), None)
     if format is None:
         raise TypeError(f"{type(result).__name__} is not a result that can be saved")
     provenance = artefacts.make_provenance(COMMANDS[type(result)], options or {}, entries)

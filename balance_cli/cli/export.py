@@ -38,7 +38,7 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
     (datasets 151, 164, 58). HDF5 has NeXus attributes, so that viewers plot it. netCDF holds one run; it
     needs xarray.
     """
-    from balance_cli.api.artefacts import TYPES
+    from balance_cli.api.artefacts import ARTEFACT_TYPES
     from balance_cli.exporters.formats import SUFFIXES, export_bytes
 
     to_stdout = str(output) == "-"
@@ -51,7 +51,7 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
     item = (
         _read_history(session, artefact)
         if sniff_format(artefact) == HISTORY_FORMAT
-        else session.artefact(artefact, TYPES)
+        else session.artefact(artefact, ARTEFACT_TYPES)
     )
     try:
         content = export_bytes(item, file_format, wide)

@@ -56,9 +56,10 @@ def command(
     are compared with each other. Give several calibrations oldest first: their history is drawn in this order. Run
     files among them add their channels and spectra, plans of `balance plan` their forecast.
     """
+    from balance_cli.api.artefacts import ARTEFACT_TYPES
     from balance_cli.cli.browser import print_pdf, show_page
     from balance_cli.report.page import build_page
-    from balance_cli.report.sources import ARTEFACT_TYPES, group_sources
+    from balance_cli.report.sources import group_sources
 
     _check_names(output, picture, pdf)
     run_paths = [path for path in artefacts if sniff_format(path) == RUN_FORMAT]

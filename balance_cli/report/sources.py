@@ -15,6 +15,7 @@ from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import Artefact
 from balance_cli.io.formats import (
+    ARTEFACT_FORMATS,
     CALIBRATION_FORMAT,
     DIAGNOSIS_FORMAT,
     LOADS_FORMAT,
@@ -28,15 +29,6 @@ from balance_cli.reduction.spectra_result import LoadSpectra
 from balance_cli.report.figure_style import DATA_STYLE, EXTRA_COLORS, PlotStyle
 from balance_cli.report.source_roles import PLOT_STYLES, ROLE_ORDER, SourceRole, loads_role, method_labels, model_role
 from balance_cli.signals.response.transfer import Transfer
-
-ARTEFACT_TYPES: Mapping[str, type[Any]] = {
-    CALIBRATION_FORMAT: Calibration,
-    TRANSFER_FORMAT: Transfer,
-    MODEL_FORMAT: IdentifiedModel,
-    DIAGNOSIS_FORMAT: Diagnosis,
-    LOADS_FORMAT: HubLoads,
-    SPECTRA_FORMAT: LoadSpectra,
-}
 
 T = TypeVar("T")
 
@@ -86,7 +78,7 @@ def group_sources(
     artefacts: Sequence[tuple[Path, Artefact]], runs: Sequence[Run] = (), plans: Sequence[StoredPlan] = ()
 ) -> Sources:
     """Sort artefacts by kind and give each its label; equal labels are completed by the names of the files."""
-    by_format: dict[str, list[Source[Any]]] = {format: [] for format in ARTEFACT_TYPES}
+    by_format: dict[str, list[Source[Any]]] = {format: [] for format in ARTEFACT_FORMATS}
     for path, artefact in artefacts:
         by_format[artefact.format].append(Source(path.name, artefact, artefact.content))
     models = _sort_by_role(_make_labels_unique([_label_model(source) for source in by_format[MODEL_FORMAT]]))

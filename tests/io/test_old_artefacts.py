@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from balance_cli.api.artefacts import TYPES
+from balance_cli.api.artefacts import ARTEFACT_TYPES
 from balance_cli.cli.file_check import check_file
 from balance_cli.io.artefacts import load_artefact, read_stored
 from balance_cli.io.formats import ARTEFACT_FORMATS
 from balance_cli.io.hdf5_tree import to_tree
 from balance_cli.report.page import build_page
-from balance_cli.report.sources import ARTEFACT_TYPES, group_sources
+from balance_cli.report.sources import group_sources
 
 FOLDER = Path(__file__).parent / "old_artefacts"
 DIGESTS = {
@@ -40,7 +40,7 @@ LOADS_LABELS = {
 
 
 def old_artefact(name: str):
-    return load_artefact(FOLDER / f"{name}.h5", TYPES)
+    return load_artefact(FOLDER / f"{name}.h5", ARTEFACT_TYPES)
 
 
 def test_every_format_and_every_file_is_covered():
@@ -52,7 +52,7 @@ def test_every_format_and_every_file_is_covered():
 def test_an_old_artefact_is_read_with_its_digest(name):
     """`load_artefact` computes the digest of what it reads and compares it with the one stated."""
     artefact = old_artefact(name)
-    assert isinstance(artefact.content, TYPES[artefact.format])
+    assert isinstance(artefact.content, ARTEFACT_TYPES[artefact.format])
     assert artefact.digest == DIGESTS[name]
 
 
@@ -75,7 +75,7 @@ def test_the_labels_of_loads_do_not_need_the_model_on_the_page():
 
 def test_a_page_of_old_artefacts_has_all_sections():
     shown = [(FOLDER / f"{name}.h5", old_artefact(name)) for name in DIGESTS]
-    page = build_page(group_sources([item for item in shown if item[1].format in ARTEFACT_TYPES]))
+    page = build_page(group_sources(shown))
     assert list(page.sections) == [
         "summary",
         "wind-on",
