@@ -18,7 +18,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import NumberRange, check_band, hold_out_option
+from balance_cli.cli.options import NumberRange, band_option, hold_out_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 
@@ -62,13 +62,7 @@ EXIT_DISCREPANCY = 3
     metavar="NAME[@PLACE]",
     help="Effect to leave out of the search, at this place or everywhere (repeatable).",
 )
-@click.option(
-    "--band",
-    type=(float, float),
-    default=None,
-    metavar="FROM TO",
-    help="Use lines within this band only [Hz]; by default those of the band in which MODEL was identified.",
-)
+@band_option("Use lines within this band only [Hz]; by default those of the band in which MODEL was identified.")
 @click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
 @skip_bad_option
 @output_option("DIAGNOSIS")
@@ -123,7 +117,7 @@ def command(
 def _load_start_model(session: Session, path: Path, band: tuple[float, float] | None) -> IdentifiedModel:
     """Return the model to start from, for lines within a `band`, None for its own.
 
-    Raises UserError for the paper's form, which cannot have effects, and for a band without lines.
+    Raises UserError for the paper's form, which cannot have effects.
     """
     from balance_cli.estimation.identified_model import IdentifiedModel
 
@@ -131,10 +125,7 @@ def _load_start_model(session: Session, path: Path, band: tuple[float, float] | 
     if model.form == "paper":
         remedy = "Give a model of `balance identify --form physical` (the default)"
         raise UserError("is in the paper's form, which has no place for an effect", str(path), "form", remedy)
-    if band is None:
-        return model
-    check_band("--band", *band)
-    return replace(model, band=band)
+    return model if band is None else replace(model, band=band)
 
 
 def _search_settings(

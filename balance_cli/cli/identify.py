@@ -16,7 +16,7 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
-from balance_cli.cli.options import InputFile, check_band
+from balance_cli.cli.options import InputFile, band_option
 from balance_cli.estimation.choices import DAMPING_FORMS, FORMS, METHODS, Damping, Form, Method
 from balance_cli.io.formats import MODEL_FORMAT
 
@@ -58,13 +58,7 @@ MIN_MISFIT_SCALE = 1.1
     metavar="NAME[@PLACE[,PLACE]]",
     help="An effect beyond the rigid balance to be fitted, besides those that the geometry declares (repeatable).",
 )
-@click.option(
-    "--band",
-    type=(float, float),
-    default=None,
-    metavar="FROM TO",
-    help="Use lines within this band only [Hz]; the paper's form has 10 125 without it.",
-)
+@band_option("Use lines within this band only [Hz]; the paper's form has 10 125 without it.")
 @skip_bad_option
 @output_option("MODEL")
 def command(
@@ -90,8 +84,6 @@ def command(
     from balance_cli.model.placed_effects import add_effects
     from balance_cli.steps.identify import IdentifyOptions, identify
 
-    if band is not None:
-        check_band("--band", *band)
     rig = session.geometry(geometry)
     check_effects(rig, str(geometry))
     rig = add_effects(rig, effects)

@@ -190,6 +190,17 @@ def input_files(context: click.Context) -> Iterator[Path]:
             yield Path(value)
 
 
+def band_option(text: str) -> Callable[[F], F]:
+    """The option `--band FROM TO`: the band [Hz] of the spectral lines that a fit uses; None without it."""
+
+    def checked(context: click.Context, option: click.Parameter, value: Any) -> Any:
+        if value is not None:
+            check_band("--band", *value)
+        return value
+
+    return click.option("--band", type=(float, float), default=None, metavar="FROM TO", callback=checked, help=text)
+
+
 def check_band(option: str, lowest: float, highest: float) -> None:
     """Raise UserError, with the option named, unless a band [Hz] begins at a finite frequency and does not fall."""
     if not (math.isfinite(lowest) and lowest <= highest):

@@ -10,7 +10,7 @@ import click
 
 from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED, EXIT_USER_ERROR
-from balance_cli.cli.options import InputFolder
+from balance_cli.cli.options import InputFolder, band_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT, MODEL_FORMAT
 from balance_cli.io.result_view import plural
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 @click.option("-g", "--geometry", type=InputFile(), metavar="GEOMETRY", help="Geometry, if it is not in CAMPAIGN.")
 @click.option("--model", type=InputFile(), metavar="MODEL", help="A model made before; its loads are the first choice.")
 @click.option("--calibration", type=InputFile(), metavar="CAL", help="A static calibration made before.")
+@band_option("Identify and diagnose with lines within this band only [Hz], for a rig that has modes above its model.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Steps done at a time.")
 @click.option("-n", "--dry-run", is_flag=True, help="Only list the steps and their commands; nothing is written.")
 @click.option("-o", "--output", type=OutputFolder(), required=True, metavar="RESULTS", help="Folder of the results.")
@@ -35,6 +36,7 @@ def command(
     geometry: Path | None,
     model: Path | None,
     calibration: Path | None,
+    band: tuple[float, float] | None,
     jobs: int,
     dry_run: bool,
     output: Path,
@@ -49,7 +51,7 @@ def command(
     The output ends with the loads of each run by the best response, and a verdict on each run.
     """
     from balance_cli.cli.pipeline.execution import Execution
-    from balance_cli.cli.pipeline.folder import locked_folder, write_input_list
+    from balance_cli.cli.pipeline.folder import locked_folder, require_own_results, write_input_list
     from balance_cli.cli.pipeline.inventory import take_inventory
     from balance_cli.cli.pipeline.state import load_state
     from balance_cli.cli.pipeline.steps import plan_steps
@@ -61,7 +63,8 @@ def command(
     inventory = replace(inventory, given=_given_artefacts(session, inventory.geometry, model, calibration))
     for path, reason in inventory.left_out.items():
         session.report_left_out(str(path), reason)
-    plan = plan_steps(inventory, output)
+    plan = plan_steps(inventory, output, band)
+    require_own_results(output, plan, state)
     show = _ProgressLines(session, len(plan.steps))
     execution = Execution(plan, output, state, inventory.digests, jobs, show.outcome, session.working)
     for name, reason in plan.left_out.items():

@@ -148,6 +148,28 @@ def test_results_do_not_go_among_the_runs(campaign):
     assert "is the campaign itself" in call("run", campaign, "-o", campaign, status=2).stderr
 
 
+@pytest.mark.parametrize("name", ["calibration.h5", "loads.csv", "inputs.txt", "modes.json"])
+def test_a_file_of_the_user_is_not_replaced(campaign, tmp_path, name):
+    folder = tmp_path / "r"
+    folder.mkdir()
+    (folder / name).write_text("mine")
+    (folder / "notes.txt").write_text("no result has this name")
+    text = call("run", campaign, "-o", folder, status=2).stderr
+    assert name in text and "no earlier `balance run` has written it" in text
+    assert {path.name for path in folder.iterdir()} == {name, "notes.txt"}
+    assert (folder / name).read_text() == "mine"
+
+
+def test_results_are_those_of_an_earlier_call_without_its_state_too(campaign, results, tmp_path):
+    """The state may be removed so that every step is repeated; a step that was interrupted leaves its log, too."""
+    folder = tmp_path / "r"
+    shutil.copytree(results[0], folder)
+    (folder / "run-state.json").unlink()
+    assert set(run(campaign, folder, "--dry-run")[0].values()) == {"to do"}
+    (folder / "logs" / "modes.txt").unlink()  # as if no call had started this step
+    assert "modes.json" in call("run", campaign, "-o", folder, status=2).stderr
+
+
 # ---- execution, with commands that only pretend ----------------------------------------------------------------------
 
 

@@ -5,8 +5,11 @@ from pathlib import Path
 import pytest
 
 from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.cli.pipeline.folder import log_path, require_own_results
 from balance_cli.cli.pipeline.inventory import Inventory, RunFile, find_geometry, run_files
+from balance_cli.cli.pipeline.state import State
 from balance_cli.cli.pipeline.steps import plan_steps
+from balance_cli.io.errors import UserError
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 RUNS = {"static": ["s"], "sweep": ["f"], "check": ["c"], "wind": ["w"], "zero": ["z"]}
@@ -14,14 +17,14 @@ IDENTIFIED = {"transfer", "model-computed", "model-rigid", "diagnosis"}
 PAPER = {"model-paper", "model-paper-full"}
 
 
-def plan(config, *kinds, pulses=True):
+def plan(config, *kinds, pulses=True, band=None):
     runs = {
         kind: tuple(RunFile(Path(f"{name}.h5"), name, name, pulses, 4096.0) for name in names)
         for kind, names in RUNS.items()
         if kind in kinds
     }
     geometry = load_geometry(CONFIGS / f"{config}.yaml")
-    return plan_steps(Inventory(CONFIGS / f"{config}.yaml", geometry, "g", runs), Path("r"))
+    return plan_steps(Inventory(CONFIGS / f"{config}.yaml", geometry, "g", runs), Path("r"), band)
 
 
 def names(steps):
@@ -108,3 +111,29 @@ def test_layouts_of_other_folders(tmp_path):
     assert [path.name for path in run_files(tmp_path)] == ["Hover 1.H5"]
     (tmp_path / "own.hdf5").write_bytes(sample.read_bytes())
     assert [path.name for path in run_files(tmp_path)] == ["own.hdf5"]
+
+
+def test_a_band_goes_to_what_is_identified_from_sweeps():
+    given = {step.name for step in plan("rts-6", *RUNS, band=(5.0, 150.25)).steps if "--band" in step.words}
+    assert given == {"model-rigid", *PAPER}
+    step = next(step for step in plan("rts-6", *RUNS, band=(5.0, 150.25)).steps if step.name == "model-rigid")
+    assert step.words[step.words.index("--band") :][1:3] == ("5.0", "150.25")
+
+
+def test_a_band_without_sweeps_is_refused():
+    with pytest.raises(UserError, match="no sweep is there"):
+        plan("rts-6", "static", "check", band=(5.0, 150.0))
+
+
+def test_histories_of_the_user_are_not_replaced(tmp_path):
+    geometry = load_geometry(CONFIGS / "rts-6.yaml")
+    runs = {kind: (RunFile(Path(f"{kind}.h5"), kind, kind, True, 4096.0),) for kind in ("sweep", "wind")}
+    steps = plan_steps(Inventory(CONFIGS / "rts-6.yaml", geometry, "g", runs), tmp_path)
+    require_own_results(tmp_path, steps, State())
+    (tmp_path / "histories").mkdir()
+    (tmp_path / "histories" / "wind.h5").touch()
+    with pytest.raises(UserError, match="would be replaced"):
+        require_own_results(tmp_path, steps, State())
+    log_path(tmp_path, "loads-smoother").parent.mkdir()
+    log_path(tmp_path, "loads-smoother").touch()
+    require_own_results(tmp_path, steps, State())

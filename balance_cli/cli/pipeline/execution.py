@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
-from balance_cli.cli.pipeline.folder import LOGS
+from balance_cli.cli.pipeline.folder import log_path
 from balance_cli.cli.pipeline.state import RememberedOutput, RememberedStep, State, signature
 from balance_cli.cli.pipeline.steps import Plan, Step
 from balance_cli.io.sniff import is_hdf5
@@ -93,6 +93,7 @@ class Execution:
             while len(self.outcomes) < len(self.plan.steps):
                 for step in self._ready(running):
                     if not self._settle_without_running(step):
+                        log_path(self.results, step.name).touch()
                         words = step.arguments(self.made)
                         running[pool.submit(_run_command, words, processes)] = step
                     if len(running) >= self.jobs:
@@ -153,7 +154,7 @@ class Execution:
 
     def _record_outcome(self, step: Step, status: int, text: str, seconds: float) -> None:
         """Record the end of a command, and remember it."""
-        write_text(self.results / LOGS / f"{step.name}.txt", text)
+        write_text(log_path(self.results, step.name), text)
         warnings = sum(line.startswith(WARNING_PREFIX) for line in text.splitlines())
         sign, outputs = self._signature(step), {}
         if status in (0, EXIT_RUNS_SKIPPED):

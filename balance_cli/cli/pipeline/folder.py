@@ -9,12 +9,31 @@ from pathlib import Path
 
 from balance_cli.campaign.rig.components import RUN_KINDS
 from balance_cli.cli.pipeline.inventory import Inventory
+from balance_cli.cli.pipeline.state import STATE_NAME, State
+from balance_cli.cli.pipeline.steps import Plan
 from balance_cli.io.atomic import atomic_write, os_errors_as_user_error
 from balance_cli.io.errors import UserError
 
 INPUT_LIST = "inputs.txt"
 LOGS = "logs"
-"""Folder of the messages of each step."""
+"""Folder of the messages of each step. A step without a file in it has not been started in this folder."""
+
+
+def log_path(folder: Path, step: str) -> Path:
+    """Return the file with the messages of a step, which is there from its start."""
+    return folder / LOGS / f"{step}.txt"
+
+
+def require_own_results(folder: Path, plan: Plan, state: State) -> None:
+    """Raise UserError where a file that the chain would write is there, but no earlier call has written it."""
+    targets = [] if state.steps or (folder / LOGS).is_dir() else [folder / INPUT_LIST, folder / STATE_NAME]
+    for step in plan.steps:
+        if step.name not in state.steps and not log_path(folder, step.name).exists():
+            targets += [*step.writes, *(path for inner in step.writes_in for path in inner.glob("*.h5"))]
+    for path in targets:
+        if path.exists():
+            fault = "is there, and no earlier `balance run` has written it: it would be replaced"
+            raise UserError(fault, str(path), remedy="Move it away, or give another folder for the results")
 
 
 @contextmanager

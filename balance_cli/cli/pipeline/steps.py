@@ -39,6 +39,11 @@ class Step:
     reads_first_of: tuple[Path, ...] = ()
     optional: bool = False
 
+    @property
+    def writes_in(self) -> tuple[Path, ...]:
+        """The folder of load histories that the step writes besides, if any."""
+        return (Path(self.words[self.words.index("--history") + 1]),) if "--history" in self.words else ()
+
     def arguments(self, is_there: Iterable[Path]) -> list[str]:
         """Return the words of the command, with the inputs of which only some need to be there."""
         there = set(is_there)
@@ -63,9 +68,15 @@ class Plan:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def plan_steps(campaign: Inventory, results: Path) -> Plan:
-    """Return the steps that a campaign allows, with outputs in the folder `results`."""
-    builder = _Builder(campaign, results)
+def plan_steps(campaign: Inventory, results: Path, band: tuple[float, float] | None = None) -> Plan:
+    """Return the steps that a campaign allows, with outputs in the folder `results`.
+
+    Models are identified from lines within `band` [Hz], all without it; the diagnosis has the band of its model.
+    Raises UserError for a band where no sweep is there.
+    """
+    if band is not None and not campaign.of_kind("sweep"):
+        raise UserError("no sweep is there, so no model is identified", "--band", remedy="Leave it out")
+    builder = _Builder(campaign, results, () if band is None else ("--band", *map(str, band)))
     builder.add("modes", "modes", "-g", campaign.geometry_path, json=True, writes=())
     builder.add_calibration()
     builder.add_models()
@@ -78,10 +89,10 @@ def plan_steps(campaign: Inventory, results: Path) -> Plan:
 class _Builder:
     """Collects the steps; `made` are all outputs so far."""
 
-    def __init__(self, campaign: Inventory, results: Path) -> None:
+    def __init__(self, campaign: Inventory, results: Path, band: tuple[str, ...]) -> None:
         self.steps: list[Step] = []
         self.left_out: dict[str, str] = {}
-        self._campaign, self._results = campaign, results
+        self._campaign, self._results, self._band = campaign, results, band
         self._static, self._sweeps = _paths(campaign.of_kind("static")), _paths(campaign.of_kind("sweep"))
         self._checks = _paths(campaign.of_kind("check"))
 
@@ -127,13 +138,13 @@ class _Builder:
         self._add_from_runs("model-computed", "identify", runs, "--method", "computed")
         if not self._sweeps:
             return
-        self._add_from_runs("model-rigid", "identify", runs)
+        self._add_from_runs("model-rigid", "identify", runs, *self._band)
         refusal = paper_form_refusal(self._campaign.geometry)
         for name, options in PAPER_FORMS.items():
             if refusal:
                 self.left_out[f"model-{name}"] = refusal
             else:
-                self._add_from_runs(f"model-{name}", "identify", self._sweeps, *options, optional=True)
+                self._add_from_runs(f"model-{name}", "identify", self._sweeps, *options, *self._band, optional=True)
 
     def add_diagnosis(self) -> None:
         """Add model updating, from the rigid model; check runs are held out and only measure the errors."""
