@@ -100,6 +100,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> Iterator[str]:
         yield "The updated model does not describe these data: the uncertainties below are underestimated"
     for effect in diagnosis.effects:
         yield from _effect_text(effect)
+    if diagnosis.location:
+        yield from _removed_text(diagnosis)
     yield from _hold_out_text(diagnosis.hold_out)
     if diagnosis.untestable_effects:
         yield "Not testable with these runs:"
@@ -129,6 +131,17 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
         yield f"   cannot be distinguished from {', '.join(effect.indistinguishable_from)}"
         if effect.separated_by:
             yield f"   measurement that would separate them: {effect.separated_by}"
+
+
+def _removed_text(diagnosis: Diagnosis) -> Iterator[str]:
+    """What the search found and did not keep: where a residual is left, it says where to look."""
+    kept = {effect.label for effect in diagnosis.effects}
+    removed: dict[str, dict[str, None]] = {}
+    for trial in diagnosis.trials:
+        if trial.decision == "removed" and trial.label not in kept:
+            removed.setdefault(trial.reason, {})[trial.label] = None
+    for reason, labels in removed.items():
+        yield f"Found and not kept: {', '.join(labels)}: {reason}"
 
 
 def _p_value_text(value: float) -> str:

@@ -113,6 +113,11 @@ class Trial:
     cross_validation_gain: float = field(default=float("nan"), metadata={"stored_as": "folds"})
     noise_dof: float | None = field(default=None, metadata={"omit_if_none": True})
 
+    @property
+    def effect_name(self) -> str:
+        """The name of the effect, without its place."""
+        return self.label.partition("@")[0]
+
 
 @dataclass(frozen=True)
 class ModelFreeTest:

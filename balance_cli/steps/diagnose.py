@@ -122,7 +122,9 @@ def _build_diagnosis(
         effects=effects,
         trials=update.trials,
         data_tests=model_free_tests(spectra, model.geometry, _lowest_mode(updated), settings),
-        untestable_effects=find_untestable_effects(scores, spectra, updated_geometry, settings.selection),
+        untestable_effects=find_untestable_effects(
+            scores, update.trials, spectra, updated_geometry, settings.selection
+        ),
         chi2_per_dof_before=quality.chi2_per_dof,
         chi2_per_dof_after=after.chi2_per_dof,
         frf_error_before=quality.frf_error,

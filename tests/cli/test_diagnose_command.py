@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from balance_cli.diagnosis.result import (
 )
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
-from tests.support.diagnosis_content import FakeDiagnose, diagnosis, fake_diagnose_module, hold_out
+from tests.support.diagnosis_content import FakeDiagnose, diagnosis, fake_diagnose_module, hold_out, trials
 
 SWEEPS = ("sweep-Fx", "sweep-Fz", "sweep-Mz")
 
@@ -234,6 +235,17 @@ def test_the_text_has_verdict_effects_evidence_and_errors():
     assert heads == ["check-1", "Fx", "Fz", "My", "Mz", "response"]
     (before, _) = (line.split() for line in lines if line.startswith("      before"))
     assert before == ["before", "(755)", "5.46", "1.27e+03", "(0.62)", "10.1"]
+
+
+def test_what_was_found_and_not_kept_stands_beside_a_residual():
+    removed = [
+        replace(trials()[0], label=label, decision="removed", reason="what no effect explains is larger")
+        for label in ("time-delay@z1.piezo", "load-offset@Fz", "load-offset@Fz", "free-play@z2")
+    ]
+    left = diagnosis(trials=tuple(removed), location="z3 at 118 Hz in My")
+    line = "Found and not kept: load-offset@Fz, free-play@z2: what no effect explains is larger"
+    assert line in list(diagnosis_text(left))
+    assert line not in list(diagnosis_text(replace(left, location="")))
 
 
 def test_a_bar_is_drawn_where_stderr_is_a_terminal(monkeypatch, capsys):

@@ -7,6 +7,8 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED
+from balance_cli.diagnosis.search.candidates import candidate_at
+from balance_cli.diagnosis.search.score_statistics import Score
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.likelihood import batch_curvature
@@ -17,6 +19,7 @@ from balance_cli.simulation import simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import identify
+from tests.support.diagnosis_content import trials
 from tests.support.other_rigs import other_rig, short_campaign
 
 RIG = other_rig("A")
@@ -56,10 +59,23 @@ def test_the_information_about_a_tone_is_never_negative(spectra):
 def test_without_lines_at_the_mains_interference_is_not_testable(spectra, band, testable):
     """The lines are 7 Hz apart: the main lobe of a tone at 60 Hz reaches the first one above 62 Hz."""
     lines = tuple(run.select((run.frequency >= band[0]) & (run.frequency <= band[1])) for run in spectra.lines)
-    found = find_untestable_effects((), replace(spectra, lines=lines), RIG, DEFAULT_SETTINGS.selection)
+    found = find_untestable_effects((), (), replace(spectra, lines=lines), RIG, DEFAULT_SETTINGS.selection)
     reasons = {item.name: item.reason for item in found}
     assert ("mains-pickup" not in reasons) == testable
     assert testable or reasons["mains-pickup"].endswith("is at 50 or 60 Hz")
+
+
+def test_an_effect_with_a_significant_trial_was_testable(spectra):
+    """Beside a large unexplained residual the last scores are small: they say nothing about what the runs can show."""
+
+    def untestable(p_value):
+        trial = replace(trials()[0], label="gyroscopic-coupling", p_value=p_value)
+        found = find_untestable_effects((weak,), (trial,), spectra, RIG, DEFAULT_SETTINGS.selection)
+        return {item.name for item in found}
+
+    weak = Score(candidate_at("gyroscopic-coupling", (), RIG), 0, 0.1, 1, 0.5, np.inf, np.eye(1), *np.ones((2, 1)))
+    assert "gyroscopic-coupling" in untestable(0.3)
+    assert "gyroscopic-coupling" not in untestable(1e-17)
 
 
 def test_a_tone_that_the_lines_of_the_search_cannot_show_is_kept(spectra):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.result import UntestableEffect
+from balance_cli.diagnosis.result import Trial, UntestableEffect
 from balance_cli.diagnosis.search.score_statistics import Score
 from balance_cli.diagnosis.settings import SelectionSettings
 from balance_cli.estimation.measured_spectra import Spectra
@@ -16,13 +16,19 @@ from balance_cli.model.effects import Effect
 
 
 def find_untestable_effects(
-    scores: Sequence[Score], spectra: Spectra, geometry: Geometry, settings: SelectionSettings
+    scores: Sequence[Score],
+    trials: Sequence[Trial],
+    spectra: Spectra,
+    geometry: Geometry,
+    settings: SelectionSettings,
 ) -> tuple[UntestableEffect, ...]:
     """Return each effect that has no place in the rig, or that cannot show at any of its places.
 
-    Empirical effects are left out, and those of the updated `geometry`, which the runs have shown.
+    Empirical effects are left out, and those that the runs have shown: the effects of the updated `geometry`, and those
+    with a significant trial, which an unexplained residual can hide from the last `scores`.
     """
     present = {item.name for item in geometry.effects}
+    present |= {trial.effect_name for trial in trials if trial.p_value < settings.significance_level}
     untestable = []
     for effect in effects.EFFECTS:
         expected = [score.expected for score in scores if score.candidate.effect.name == effect.name]
