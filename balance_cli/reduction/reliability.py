@@ -30,6 +30,17 @@ NOTABLE_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
+class NotableChange:
+    """Change of a load of a harmonic [N, N m] by an error of a sensor that the residual test does not show."""
+
+    sensor: str
+    component: str
+    harmonic: int
+    change: float
+    load: float
+
+
+@dataclass(frozen=True)
 class UnnoticedErrors:
     """Change of each load (h, m) by an error of the worst sensor that the residual test leaves, up to SENSOR_ERROR.
 
@@ -40,19 +51,27 @@ class UnnoticedErrors:
     sensor: NDArray[np.int64]
     change: Array
 
-    def describe(self, components: Sequence[str], size: Array, sigma: Array) -> str:
-        """Return sensors and loads that matter, in words, for loads of this size and sigma (h, m); empty without.
-
-        Of each load the harmonic that changes most is named.
-        """
+    def notable_changes(self, components: Sequence[str], size: Array, sigma: Array) -> tuple[NotableChange, ...]:
+        """Return the changes that matter for loads of this size and sigma (h, m), of each load the largest."""
         share = np.where(self.change > NOTABLE_SIGMAS * sigma, self.change / np.where(size > 0.0, size, np.inf), 0.0)
+        change = np.where(share > NOTABLE_CHANGE, self.change, 0.0)
+        largest = np.argmax(change, axis=0)
+        return tuple(
+            NotableChange(
+                self.sensors[self.sensor[n, j]], component, int(n) + 1, float(change[n, j]), float(size[n, j])
+            )
+            for j, (n, component) in enumerate(zip(largest, components, strict=True))
+            if change[n, j] > 0.0
+        )
+
+    def describe(self, components: Sequence[str], size: Array, sigma: Array) -> str:
+        """Return the notable changes in words, empty without any."""
         parts_by_sensor: dict[str, list[str]] = {}
-        for j, component in enumerate(components):
-            change = np.where(share[:, j] > NOTABLE_CHANGE, self.change[:, j], 0.0)
-            n, unit = int(np.argmax(change)), UNIT_OF.get(component, "")
-            if change[n] > 0.0:
-                part = f"{component} at harmonic {n + 1} by {change[n]:.2g} {unit} (load {size[n, j]:.2g} {unit})"
-                parts_by_sensor.setdefault(self.sensors[self.sensor[n, j]], []).append(part)
+        for item in self.notable_changes(components, size, sigma):
+            unit = UNIT_OF.get(item.component, "")
+            place = f"{item.component} at harmonic {item.harmonic}"
+            part = f"{place} by {item.change:.2g} {unit} (load {item.load:.2g} {unit})"
+            parts_by_sensor.setdefault(item.sensor, []).append(part)
         return "; ".join(
             f"an error of up to {100.0 * SENSOR_ERROR:g} % in {sensor}, which the residual test does not show, changes "
             f"{', '.join(parts)}"

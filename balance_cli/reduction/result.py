@@ -16,7 +16,7 @@ from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.reduction.flags import FLAGS, SEPARATOR
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
-from balance_cli.reduction.reliability import UnnoticedErrors
+from balance_cli.reduction.reliability import NotableChange, UnnoticedErrors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -136,10 +136,17 @@ class RunLoads(ResultView):
     @property
     def unnoticed_note(self) -> str:
         """Which loads an error of one sensor changes most, unnoticed, in words; empty where none matters."""
-        if self.unnoticed is None:
-            return ""
-        sigma = np.maximum(self.sigma_cosine, self.sigma_sine)[1:]
-        return self.unnoticed.describe(self.components, np.abs(self.amplitude[1:]), sigma)
+        return "" if self.unnoticed is None else self.unnoticed.describe(*self._sized_loads)
+
+    @property
+    def unnoticed_changes(self) -> tuple[NotableChange, ...]:
+        """Which loads an error of one sensor changes most, unnoticed; empty where none matters."""
+        return () if self.unnoticed is None else self.unnoticed.notable_changes(*self._sized_loads)
+
+    @property
+    def _sized_loads(self) -> tuple[tuple[str, ...], Array, Array]:
+        """Components, and size and sigma of their harmonic loads (h, m)."""
+        return self.components, np.abs(self.amplitude[1:]), np.maximum(self.sigma_cosine, self.sigma_sine)[1:]
 
     def summary_lines(self) -> Iterator[str]:
         """Run, harmonics, error of a check run, flags."""

@@ -84,7 +84,7 @@ def reason_sentence(recommendation: Recommendation, sources: Sequence[Source[Hub
     words = "Do not use these loads, the best that were given" if unusable else "Recommended loads"
     if not others:
         words = "Do not use these loads, the only ones given" if unusable else "The only loads given"
-    words += f': by "{source.label}"'
+    words += f": by the {source.label}"
     if recommendation.runs and others:
         words += f", of {len(others) + 1} methods compared"
     return f"{words}. {capitalize_first('; '.join(reasons))}." if reasons else f"{words}."

@@ -69,7 +69,7 @@ def _role_of_response(description: ResponseDescription) -> tuple[SourceRole, str
     if description.kind is ResponseKind.STATIC:
         return SourceRole.STATIC, "static matrix"
     if description.kind is ResponseKind.MEASURED:
-        return SourceRole.MEASURED, "transfer function"
+        return SourceRole.MEASURED, "measured response"
     if description.effects or description.method == "computed":
         return _role_with_effects(description)
     return _role_of_fit(description)
@@ -80,8 +80,8 @@ def _role_with_effects(description: ResponseDescription) -> tuple[SourceRole, st
     effects = description.effects
     names = ", ".join(effects) if len(effects) <= MAX_NAMED_EFFECTS else f"{len(effects)} effects"
     if description.method == "computed":
-        return SourceRole.COMPUTED, f"computed with {names}" if effects else "computed"
-    return SourceRole.UPDATED, f"updated: {names}"
+        return SourceRole.COMPUTED, f"computed model with {names}" if effects else "computed model"
+    return SourceRole.UPDATED, f"updated model ({names})"
 
 
 def _role_of_fit(description: ResponseDescription) -> tuple[SourceRole, str]:
@@ -92,7 +92,7 @@ def _role_of_fit(description: ResponseDescription) -> tuple[SourceRole, str]:
         damping = ", full damping" if description.damping == "full" else ""
         label = f"paper\N{RIGHT SINGLE QUOTATION MARK}s form ({method}{damping})"
         return SourceRole.PAPER_LS if least_squares else SourceRole.PAPER, label
-    return SourceRole.LS if least_squares else SourceRole.IDENTIFIED, f"identified rigid ({method})"
+    return SourceRole.LS if least_squares else SourceRole.IDENTIFIED, f"rigid model ({method})"
 
 
 def method_labels(loads: HubLoads) -> tuple[str, ...]:

@@ -33,9 +33,12 @@ from balance_cli.signals.response.transfer import Transfer
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Source(Generic[T]):
-    """One artefact: its file name, its content, and its label, role and plot style on the page."""
+    """One artefact: its file name, its content, and its label, role and plot style on the page.
+
+    Sources are compared by identity: contents have arrays, and a file may be given twice.
+    """
 
     file: str
     artefact: Artefact

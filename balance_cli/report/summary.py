@@ -161,7 +161,7 @@ def _verdict_blocks(sources: Sources) -> Iterator[PageBlock]:
             f"{format_percent(best.content.quality.frf_error)} %. The model lacks at least one effect."
         )
     elif best is not None:
-        words = f"{capitalize_first(best.label)} describes the data to within their noise"
+        words = f"The {best.label} describes the data to within their noise"
         if is_noise_overstated(best.content):
             chi2_text = format_significant(best.content.quality.chi2_per_dof)
             words += f", which is stated too large (chi2/dof is {chi2_text}, not 1): small effects would not be seen"

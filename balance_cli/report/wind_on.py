@@ -9,6 +9,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import REDUNDANCY
+from balance_cli.reduction.reliability import SENSOR_ERROR
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.report.azimuth import azimuth_chart
 from balance_cli.report.blocks import (
@@ -24,6 +25,8 @@ from balance_cli.report.blocks import (
     TableCell,
     WarningText,
     group_heading_row,
+    plain_row,
+    row_with_name,
 )
 from balance_cli.report.figure_style import svg
 from balance_cli.report.load_figures import (
@@ -67,6 +70,7 @@ def section(sources: Sources) -> Section | None:
         ),
         *_load_tables(shown.content),
         condition_table(tested),
+        *_unnoticed_errors(shown),
         *_left_out_blocks(load_sources),
     ]
     others = [source for source in load_sources if source is not shown]
@@ -217,6 +221,24 @@ def _condition_cell(run: RunLoads, n: int) -> TableCell:
     )
 
 
+def _unnoticed_errors(shown: Source[HubLoads]) -> Iterator[Table]:
+    """Yield the table of the loads that rest on one sensor, where there are any."""
+    rows: list[Row] = []
+    for name, run in wind_runs(shown.content).items():
+        for item in run.unnoticed_changes:
+            unit = UNIT_OF[item.component]
+            change = f"{format_significant(item.change, 2)} {unit}"
+            load = f"{format_significant(item.load, 2)} {unit}"
+            rows.append(row_with_name(name, item.sensor, item.component, str(item.harmonic), change, load))
+    if rows:
+        caption = (
+            f"Loads by {shown.label} that rest on one sensor: an error of up to {100.0 * SENSOR_ERROR:g} % of this "
+            "sensor changes the load, and the residual test does not show it. Of each load the harmonic that changes "
+            "most."
+        )
+        yield Table(caption, (plain_row("", "sensor", "load", "harmonic", "change", "amplitude"),), tuple(rows))
+
+
 def _left_out_blocks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
     left_out: dict[tuple[str, str, str], list[str]] = {}
     notes: dict[tuple[str, str], list[str]] = {}
@@ -224,7 +246,7 @@ def _left_out_blocks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageB
         for name, run in source.content.runs.items():
             for channel, reason in run.left_out.items():
                 left_out.setdefault((name, channel, reason), []).append(source.label)
-            for note in filter(None, (*run.notes, run.unnoticed_note)):
+            for note in filter(None, run.notes):
                 notes.setdefault((name, note), []).append(source.label)
     for (name, channel, reason), labels in left_out.items():
         where = "" if len(labels) == len(load_sources) else f" (by {join_names(labels)})"

@@ -41,7 +41,7 @@ def test_page_summary_and_picture(files, tmp_path):
         "provenance",
     ]
     assert "check-runs" in written["figures"]
-    assert written["artefacts"] == {"model.h5": "identified rigid (LS+ML)", "loads.h5": "static matrix"}
+    assert written["artefacts"] == {"model.h5": "rigid model (LS+ML)", "loads.h5": "static matrix"}
     assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert picture.read_bytes().startswith(b"\x89PNG")
 

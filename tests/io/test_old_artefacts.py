@@ -32,10 +32,10 @@ DIGESTS = {
 }
 LOADS_LABELS = {
     "loads-static.h5": "static matrix",
-    "loads-transfer.h5": "transfer function",
+    "loads-transfer.h5": "measured response",
     "loads-paper-full.h5": "paper\N{RIGHT SINGLE QUOTATION MARK}s form (LS+ML, full damping)",
-    "loads-closed.h5": "updated: 3 effects",
-    "loads-smoother.h5": "updated: 3 effects, smoother",
+    "loads-closed.h5": "updated model (3 effects)",
+    "loads-smoother.h5": "updated model (3 effects), smoother",
 }
 
 
@@ -61,6 +61,12 @@ def test_what_was_stored_is_stored_again_under_the_same_names(name):
     """A field may be added or renamed in the code; what files hold keeps its name and value."""
     stored = read_stored(FOLDER / f"{name}.h5").tree
     assert list(differences(stored, to_tree(old_artefact(name).content), "content")) == []
+
+
+def test_a_file_given_twice_is_two_sources_of_the_page():
+    smoother = (FOLDER / "loads-smoother.h5", old_artefact("loads-smoother"))
+    again = (FOLDER / "loads-smoother.h5", old_artefact("loads-smoother"))
+    assert "in-time" in build_page(group_sources([smoother, again])).sections
 
 
 @pytest.mark.parametrize("name", DIGESTS)

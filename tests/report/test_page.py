@@ -8,6 +8,7 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.io.artefacts import Artefact
+from balance_cli.reduction.reliability import UnnoticedErrors
 from balance_cli.report import summary
 from balance_cli.report.check_errors import RelativeError, harmonic_errors, overall_error, pooled_errors
 from balance_cli.report.check_runs import section
@@ -85,9 +86,9 @@ def labels(items: list[tuple[Path, Artefact]]) -> dict[str, str]:
 
 def test_loads_bear_the_label_of_their_model():
     found = labels(campaign())
-    assert found["loads-model.h5"] == found["model.h5"] == "identified rigid (LS+ML)"
+    assert found["loads-model.h5"] == found["model.h5"] == "rigid model (LS+ML)"
     assert found["loads-static.h5"] == "static matrix"
-    assert found["loads-tf.h5"] == "transfer function"
+    assert found["loads-tf.h5"] == "measured response"
     looks = {source.file: source.plot_style for source in group_sources(campaign()).all_sources}
     assert looks["loads-model.h5"] == looks["model.h5"]
 
@@ -95,7 +96,7 @@ def test_loads_bear_the_label_of_their_model():
 def test_two_artefacts_of_one_role_are_told_apart_by_their_files():
     first, second = (artefact("balance-model/1", model(), digit * 64) for digit in "12")
     items = [(Path("a/one.h5"), first), (Path("b/two.h5"), second)]
-    assert sorted(labels(items).values()) == ["identified rigid (LS+ML), one", "identified rigid (LS+ML), two"]
+    assert sorted(labels(items).values()) == ["rigid model (LS+ML), one", "rigid model (LS+ML), two"]
     same_names = [(Path("a/one.h5"), first), (Path("b/one.h5"), second)]
     drawn = group_sources(same_names).models
     assert len({source.label for source in drawn}) == 2
@@ -125,9 +126,13 @@ def test_an_updated_model_is_called_by_its_effects_and_many_are_counted():
     for used, words in ((names[:2], "mast-bending, added-mass"), (names, "3 effects")):
         effects = tuple(DeclaredEffect(name=name) for name in used)
         updated = model(geometry=model().geometry.model_copy(update={"effects": effects}))
-        assert labels([(Path("m.h5"), artefact("balance-model/1", updated, "1" * 64))]) == {"m.h5": f"updated: {words}"}
+        assert labels([(Path("m.h5"), artefact("balance-model/1", updated, "1" * 64))]) == {
+            "m.h5": f"updated model ({words})"
+        }
         by = loads(f"physical model (ls+ml) with {', '.join(used)}")
-        assert labels([(Path("l.h5"), artefact("balance-loads/1", by, "2" * 64))]) == {"l.h5": f"updated: {words}"}
+        assert labels([(Path("l.h5"), artefact("balance-loads/1", by, "2" * 64))]) == {
+            "l.h5": f"updated model ({words})"
+        }
 
 
 # ---- what the check runs say -----------------------------------------------------------------------------------------
@@ -157,8 +162,8 @@ def test_the_table_that_matters_shows_every_method_beside_its_noise():
     table = next(block for block in made.blocks if block.kind == "table")
     assert [cell.text for cell in table.head[0]][1:] == [
         "static matrix",
-        "transfer function",
-        "identified rigid (LS+ML)",
+        "measured response",
+        "rigid model (LS+ML)",
     ]
     row = next(row for row in table.rows if row[0].text == "Fx")
     assert [(cell.text, cell.note) for cell in row[1:]] == [("50", "1.0"), ("5.0", "1.0"), ("1.0", "1.0")]
@@ -229,6 +234,19 @@ def test_the_first_section_says_of_every_run_whether_to_use_it_and_why():
     clean = replace(loads().runs["wind-1"], flags=(("",) * 6,) * 4, left_out={})
     table = verdict_table(summary_of(replace(loads(), runs={"wind-1": clean})))
     assert (table.rows[0][1].text, table.rows[0][2].text) == ("none", "Use: all loads were tested and are good.")
+
+
+def test_loads_of_wind_runs_that_rest_on_one_sensor_are_listed():
+    run = loads().runs["wind-1"]
+    size = np.abs(run.amplitude[1:])
+    change = np.zeros_like(size)
+    change[1, 0] = 0.5 * size[1, 0]
+    unnoticed = UnnoticedErrors(("cell x",), np.zeros(size.shape, dtype=int), change)
+    content = replace(loads(), runs={"wind-1": replace(run, unnoticed=unnoticed)})
+    made = wind_section(group_sources([(Path("l.h5"), artefact("balance-loads/1", content, "1" * 64))]))
+    (table,) = [block for block in made.blocks if block.kind == "table" and "rest on one sensor" in block.caption]
+    ((name, sensor, load, harmonic, *_),) = table.rows
+    assert (name.text, sensor.text, load.text, harmonic.text) == ("wind-1", "cell x", run.components[0], "2")
 
 
 def test_nothing_gives_an_empty_report():

@@ -72,8 +72,8 @@ def test_the_true_model_is_off_by_nothing_and_a_scaled_one_by_its_scale():
     comparison = comparisons(group_sources(campaign()))[0]
     noise, errors = sensor_errors(comparison)
     by_label = dict(zip([source.label for source, _ in comparison.models], errors, strict=True))
-    assert by_label["identified rigid (LS+ML)"] < 1e-9
-    assert by_label["computed"] > 0.1
+    assert by_label["rigid model (LS+ML)"] < 1e-9
+    assert by_label["computed model"] > 0.1
     assert 0 < noise < 1e-3
     assert set(found) == set(by_label)
     value = np.array([1.0 + 1j, -2.0])
