@@ -38,29 +38,17 @@ def reference() -> str:
 def _command(root: click.Context, name: str) -> str:
     command = balance.get_command(root, name)
     assert command is not None
-    arguments = [item for item in command.params if isinstance(item, click.Argument)]
     options = [item for item in command.params if isinstance(item, click.Option) and not item.hidden]
-    required = [f"{item.opts[0]} {_value(item)}".strip() for item in options if item.required]
-    usage = " ".join(["balance", name, "[OPTIONS]", *required, *(_place(item) for item in arguments)])
-    rows = [f"| {_names(item)} | {_meaning(item)} |" for item in sorted(options, key=_is_common_option)]
+    usage = " ".join(["balance", name, *command.collect_usage_pieces(root)])
+    rows = [f"| {_names(item)} | {_meaning(item)} |" for item in options]
     table = ["| option | meaning |", "|---|---|", *rows, "| `-h`, `--help` | Show the help and exit. |"]
     return "\n".join([f"## balance {name}", "", "```", usage, "```", "", *_paragraphs(command.help), *table, ""])
-
-
-def _is_common_option(option: click.Option) -> bool:
-    """Whether every command has this option; such options are listed last."""
-    return option.name in ("json_path", "verbose")
 
 
 def _paragraphs(text: str | None) -> Iterator[str]:
     for paragraph in (text or "").split("\n\n"):
         yield " ".join(paragraph.split())
         yield ""
-
-
-def _place(argument: click.Argument) -> str:
-    shown = argument.metavar or (argument.name or "").upper()
-    return shown if argument.required else f"[{shown}]"
 
 
 def _names(option: click.Option) -> str:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from balance_cli.cli.common import Session, balance_command, output_option
-from balance_cli.cli.options import InputFile, WordOrFile
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import InputFile, WordOrFile, output_option
 from balance_cli.cli.static_runs import moment_center_option, open_table, table_reading, units_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT
@@ -59,10 +59,11 @@ def command(
     moment_center: tuple[float, float, float] | None,
     output: Path,
 ) -> None:
-    """Compute static loads from readings: each row of a point table (CSV) or static run becomes a row of loads.
+    """Compute static loads from the readings of point tables.
 
-    CAL is a calibration. A table has a column with its unit for each channel; loads, where it has them, are compared.
-    Every load has a standard deviation. Rows outside the calibrated loads are flagged, not left out.
+    Each row of a point table (CSV) or static run becomes a row of loads. CAL is a calibration. A table has a column
+    with its unit for each channel; loads, where it has them, are compared. Every load has a standard deviation. Rows
+    outside the calibrated loads are flagged, not left out.
     """
     from balance_cli.calibration.load_method import choose_load_method
     from balance_cli.calibration.result import Calibration

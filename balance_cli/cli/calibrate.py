@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import (
-    Session,
-    balance_command,
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.earlier_calibrations import compare_with_earlier
+from balance_cli.cli.options import (
+    InputFile,
+    OutputFile,
+    deprecated_option,
+    hold_out_option,
     output_option,
     skip_bad_option,
 )
-from balance_cli.cli.earlier_calibrations import compare_with_earlier
-from balance_cli.cli.options import InputFile, OutputFile, deprecated_option, hold_out_option
 from balance_cli.cli.static_runs import (
     moment_center_option,
     open_static_runs,
@@ -45,7 +47,7 @@ WITHOUT_MODEL = (
 
 @balance_command("calibrate")
 @optional_geometry_option
-@click.argument("runs", type=InputFile(), nargs=-1, metavar="RUN...")
+@click.argument("runs", type=InputFile(), nargs=-1, metavar="[RUN...]")
 @terms_option
 @significance_option
 @click.option(
@@ -90,10 +92,11 @@ WITHOUT_MODEL = (
 @skip_bad_option
 @output_option("CAL")
 def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], output: Path, **options: Any) -> None:
-    """Calibrate: static matrices C0 and T0 for each trim, and one calibration model of all trims.
+    """Fit the static calibration: matrices by trim, and one model.
 
-    The model has the terms of AIAA R-091: for each channel those that are significant and that reduce the
-    cross-validation error of the load series. Outliers and suspect load series are listed and excluded.
+    The matrices C0 and T0 are linear, and belong to one trim each; the calibration model holds for all trims. The model
+    has the terms of AIAA R-091: for each channel those that are significant and that reduce the cross-validation error
+    of the load series. Outliers and suspect load series are listed and excluded.
 
     RUN is a run file, or a point table as CSV with units in its head: a column for each load and each channel, and
     optionally `series`, `point`, `run` and `trim`. Calibration alone needs no masses, stiffness or damping in the

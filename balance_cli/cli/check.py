@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import InputFile, Session, balance_command
+from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.consistency import check_findings, finding_summary
 from balance_cli.cli.errors import EXIT_USER_ERROR
-from balance_cli.cli.options import ListedFile
+from balance_cli.cli.options import InputFile, ListedFile
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
 

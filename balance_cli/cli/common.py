@@ -39,20 +39,7 @@ import click
 from balance_cli.cli.errors import BalanceCommand
 from balance_cli.cli.log_messages import log_to_stderr
 from balance_cli.cli.messages import Messages
-from balance_cli.cli.options import (
-    InputFile,
-    OutputFile,
-    OutputFolder,
-    check_outputs,
-    geometry_option,
-    input_files,
-    json_option,
-    non_default_options,
-    output_option,
-    runs_argument,
-    skip_bad_option,
-    verbose_option,
-)
+from balance_cli.cli.options import check_outputs, input_files, json_option, non_default_options, verbose_option
 from balance_cli.cli.work_reports import WorkReports
 from balance_cli.io.atomic import StagedOutputs, os_errors_as_user_error
 from balance_cli.io.errors import UserError
@@ -65,19 +52,10 @@ if TYPE_CHECKING:
     from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
     from balance_cli.io.artefacts import Artefact, Provenance
 
-__all__ = [
-    "InputFile",
-    "OutputFile",
-    "OutputFolder",
-    "Session",
-    "balance_command",
-    "geometry_option",
-    "output_option",
-    "runs_argument",
-    "skip_bad_option",
-]
-
 T = TypeVar("T")
+
+COMMON_OPTIONS = ("json_path", "verbose", "quiet")
+"""Options of every command; the help lists them last."""
 
 
 class Session(Messages, WorkReports):
@@ -294,7 +272,8 @@ def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., Non
             context.exit(session.status)
 
         functools.update_wrapper(call, function)
-        make_command = click.command(name, cls=BalanceCommand, **attributes)
-        return make_command(verbose_option(json_option(call)))
+        command = click.command(name, cls=BalanceCommand, **attributes)(verbose_option(json_option(call)))
+        command.params.sort(key=lambda parameter: parameter.name in COMMON_OPTIONS)
+        return command
 
     return decorate

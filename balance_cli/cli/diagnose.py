@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from balance_cli.cli.common import (
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import (
     InputFile,
+    NumberRange,
     OutputFile,
-    Session,
-    balance_command,
+    band_option,
+    hold_out_option,
     output_option,
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import NumberRange, band_option, hold_out_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 
@@ -80,11 +81,12 @@ def command(
     skip_bad: bool,
     output: Path,
 ) -> None:
-    """Find the effects that a model lacks, add them, and report the errors before and after (model updating).
+    """Find the effects that a model lacks, and update the model.
 
-    Sweeps and static runs among RUN... are fitted; runs of other kinds are left out and named. The runs of --hold-out
-    are used once, after the last decision; without any, the check runs among RUN... or one of the sweeps are kept aside
-    for it. MODEL is a physical model: computed, identified, or updated before. The updated model is physical, too.
+    The errors before and after are reported. Sweeps and static runs among RUN... are fitted; runs of other kinds are
+    left out and named. The runs of --hold-out are used once, after the last decision; without any, the check runs among
+    RUN... or one of the sweeps are kept aside for it. MODEL is a physical model: computed, identified, or updated
+    before. The updated model is physical, too.
     """
     from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text

@@ -57,6 +57,12 @@ class _ErrorReportingCommand(click.Command):
 class BalanceCommand(_ErrorReportingCommand):
     """One command of `balance`."""
 
+    def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
+        """The words of a call, with the options that it must have."""
+        first, *others = super().collect_usage_pieces(ctx)
+        options = [item for item in self.params if isinstance(item, click.Option) and item.required]
+        return [first, *(f"{item.opts[0]} {item.make_metavar(ctx)}" for item in options), *others]
+
 
 def report_error(error: BaseException, verbose: bool) -> int:
     """Print the error on stderr and return the exit status. SystemExit is raised again."""

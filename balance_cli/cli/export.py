@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import InputFile, OutputFile
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import HISTORY_FORMAT

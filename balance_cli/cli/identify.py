@@ -8,15 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import (
-    Session,
-    balance_command,
-    geometry_option,
-    output_option,
-    skip_bad_option,
-)
+from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
-from balance_cli.cli.options import InputFile, band_option
+from balance_cli.cli.options import InputFile, band_option, geometry_option, output_option, skip_bad_option
 from balance_cli.estimation.choices import DAMPING_FORMS, FORMS, METHODS, Damping, Form, Method
 from balance_cli.io.formats import MODEL_FORMAT
 
@@ -29,7 +23,7 @@ MIN_MISFIT_SCALE = 1.1
 
 @balance_command("identify")
 @geometry_option
-@click.argument("runs", type=InputFile(), nargs=-1, metavar="RUN...")
+@click.argument("runs", type=InputFile(), nargs=-1, metavar="[RUN...]")
 @click.option(
     "--method",
     type=click.Choice(METHODS),
@@ -73,7 +67,7 @@ def command(
     skip_bad: bool,
     output: Path,
 ) -> None:
-    """Identify the balance from sweeps (and static runs) in the frequency domain.
+    """Identify the mechanical model from sweeps and static runs.
 
     Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
     """

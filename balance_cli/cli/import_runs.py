@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import InputFile, Session, balance_command
-from balance_cli.cli.options import OutputFolder
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import InputFile, OutputFolder
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from balance_cli.cli.common import Session, balance_command, output_option
+from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.load_table_file import check_table_suffix, write_loads
-from balance_cli.cli.options import InputFile
+from balance_cli.cli.options import InputFile, output_option
 from balance_cli.io.formats import LOADS_FORMAT
 from balance_cli.io.result_view import plural
 
@@ -18,7 +18,7 @@ from balance_cli.io.result_view import plural
 @click.argument("loads", type=InputFile(), nargs=-1, required=True, metavar="LOADS...")
 @output_option("LOADS", "Table of loads, .csv or .h5.")
 def command(session: Session, loads: tuple[Path, ...], output: Path) -> None:
-    """Put the shards of a reduction together.
+    """Join the shards of a reduction into one table.
 
     LOADS are the .h5 files of `reduce --shard 1/N` to `N/N`, in any order. The result is that of one call for all runs,
     with the same content digest. Shards of different reductions, and a run in two shards, are refused;

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from balance_cli.cli.common import Session, balance_command, geometry_option
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import geometry_option
 
 if TYPE_CHECKING:
     from balance_cli.steps.modes import ComputedModes
@@ -15,7 +16,10 @@ if TYPE_CHECKING:
 @balance_command("modes")
 @geometry_option
 def command(session: Session, geometry: Path) -> None:
-    """Computed eigenfrequencies, shapes, their sensitivity to each stiffness."""
+    """Compute eigenfrequencies, mode shapes, and their sensitivity.
+
+    Sensitivity is the change of an eigenfrequency with the stiffness of each cell.
+    """
     from balance_cli.model.balance import check_effects
     from balance_cli.steps.modes import computed_modes
 

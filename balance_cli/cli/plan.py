@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from balance_cli.cli.common import Session, balance_command, geometry_option, skip_bad_option
-from balance_cli.cli.options import InputFile, NumberRange, OutputFile
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import InputFile, NumberRange, OutputFile, geometry_option, skip_bad_option
 from balance_cli.cli.plan_static import plan_static
 from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.io.errors import UserError
@@ -47,7 +47,10 @@ class PlanFiles:
 @geometry_option
 @click.argument("files", type=InputFile(), nargs=-1, metavar="[MODEL] [RUN...]")
 @click.option(
-    "--minutes", type=NumberRange(0, MOST_MINUTES, min_open=True, max_open=True), help="Hall time to be planned."
+    "--minutes",
+    metavar="MINUTES",
+    type=NumberRange(0, MOST_MINUTES, min_open=True, max_open=True),
+    help="Hall time to be planned.",
 )
 @click.option(
     "--hall", type=InputFile(), metavar="HALL", help="What the hall allows: exciters, ranges, times (YAML, see files)."
@@ -61,12 +64,15 @@ class PlanFiles:
 )
 @click.option(
     "--level",
+    metavar="P",
     type=NumberRange(min=0, max=1, min_open=True, max_open=True),
     default=SIGNIFICANCE_LEVEL,
     show_default=True,
     help="False-alarm level of a diagnosis, for all candidate effects together.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the rehearsals.")
+@click.option(
+    "--seed", metavar="N", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the rehearsals."
+)
 @click.option("--sheets", type=OutputFile(), metavar="FILE", help="Also write a sheet for each run, in Markdown.")
 @click.option(
     "--lines",
@@ -86,7 +92,9 @@ class PlanFiles:
     metavar="PLAN",
     help="Plan nothing: compare the runs given with this plan, run by run.",
 )
-@click.option("--points", type=click.IntRange(min=1), help="Plan a static schedule of this many load points instead.")
+@click.option(
+    "--points", metavar="N", type=click.IntRange(min=1), help="Plan a static schedule of this many load points instead."
+)
 @click.option(
     "--terms",
     type=click.Choice(TERM_SETS),
@@ -95,7 +103,12 @@ class PlanFiles:
     help="Terms of the calibration model that a static schedule determines: loads; with squares and products; or all.",
 )
 @click.option(
-    "--together", type=click.IntRange(1, 6), default=2, show_default=True, help="Loads at a time in a static schedule."
+    "--together",
+    metavar="N",
+    type=click.IntRange(1, 6),
+    default=2,
+    show_default=True,
+    help="Loads at a time in a static schedule.",
 )
 @skip_bad_option
 @click.option(
@@ -124,13 +137,14 @@ def command(
     skip_bad: bool,
     output: Path | None,
 ) -> None:
-    """Plan the sweeps that are most informative on effects and hub loads in the given hall time.
+    """Plan the sweeps that are most informative in the given time.
 
-    MODEL is a model of `identify` or `diagnose`, RUN... are runs already made: their information counts, and their
-    noise is that of the plan. Without them the geometry is taken as declared. Every run that could be made is simulated
-    once, and its information on all parameters computed as `identify` and `diagnose` do. With --compare the runs are
-    those of a plan that was carried out. With --points the plan is a static schedule: the load combinations that
-    determine the terms of the calibration model best, compared with one load at a time.
+    Informative on effects, on hub loads, or on both (--aim). MODEL is a model of `identify` or `diagnose`, RUN... are
+    runs already made: their information counts, and their noise is that of the plan. Without them the geometry is taken
+    as declared. Every run that could be made is simulated once, and its information on all parameters computed as
+    `identify` and `diagnose` do. With --compare the runs are those of a plan that was carried out. With --points the
+    plan is a static schedule: the load combinations that determine the terms of the calibration model best, compared
+    with one load at a time.
     """
     from balance_cli.planning.detectability import DetectionLevel
     from balance_cli.steps.plan import PlanOptions

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.batch.options import BatchOptions, batch_options, gather_batch_options
-from balance_cli.cli.common import Session, balance_command, output_option
+from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.load_table_file import check_table_suffix, write_loads
-from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option
+from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option, output_option
 from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, read_response
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.cli.reduce_spectra import check_band_options, reduce_to_spectra
@@ -82,11 +82,13 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--harmonics",
+    metavar="N",
     type=click.IntRange(1, MOST_HARMONICS),
     help="Highest rotor harmonic.  [default: a multiple of the blades, at least two, at least 8, within the band]",
 )
 @click.option(
     "--rotor",
+    metavar="N",
     type=click.IntRange(1),
     default=1,
     show_default=True,
@@ -102,7 +104,7 @@ if TYPE_CHECKING:
 @click.option(
     "--band",
     type=(float, float),
-    metavar="LO HI",
+    metavar="FROM TO",
     help="Spectral densities of the loads within this band [Hz], in place of rotor harmonics.",
 )
 @click.option(
@@ -137,11 +139,12 @@ def command(
     output: Path,
     **batch_parameters: Any,
 ) -> None:
-    """Reduce runs to rotor-harmonic hub loads, with the dynamics of the balance removed.
+    """Reduce runs to hub loads at the rotor harmonics.
 
-    Mean loads come from the strain and torque channels through the static calibration; without --calibration, as with
-    piezo cells alone, only the harmonics are measured. Harmonic loads come from all channels through a modeled or
-    measured response, weighted by noise. A zero run among RUN... serves as --zero.
+    The dynamics of the balance are removed. Mean loads come from the strain and torque channels through the static
+    calibration; without --calibration, as with piezo cells alone, only the harmonics are measured. Harmonic loads come
+    from all channels through a modeled or measured response, weighted by noise. A zero run among RUN... serves as
+    --zero.
 
     Records without 1/rev pulses are reduced at given --frequencies, or to spectral densities within a --band.
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command, output_option
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import InputFile, OutputFile, output_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import PLAN_FORMAT, RUN_FORMAT
 from balance_cli.io.result_view import plural
@@ -50,7 +51,7 @@ def command(
     open_page: bool,
     output: Path,
 ) -> None:
-    """One self-contained page with pictures, from artefacts alone.
+    """Make a self-contained page with pictures from results.
 
     Any artefacts can be given; each adds its sections to the page. Models, measured responses and loads given together
     are compared with each other. Give several calibrations oldest first: their history is drawn in this order. Run

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
+from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED, EXIT_USER_ERROR
-from balance_cli.cli.options import InputFolder, band_option
+from balance_cli.cli.options import InputFile, InputFolder, OutputFolder, band_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT, MODEL_FORMAT
 from balance_cli.io.result_view import plural
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 @click.option("--model", type=InputFile(), metavar="MODEL", help="A model made before; its loads are the first choice.")
 @click.option("--calibration", type=InputFile(), metavar="CAL", help="A static calibration made before.")
 @band_option("Identify and diagnose with lines within this band only [Hz], for a rig that has modes above its model.")
-@click.option("-j", "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Steps done at a time.")
+@click.option(
+    "-j", "--jobs", metavar="N", type=click.IntRange(1, 64), default=1, show_default=True, help="Steps done at a time."
+)
 @click.option("-n", "--dry-run", is_flag=True, help="Only list the steps and their commands; nothing is written.")
 @click.option("-o", "--output", type=OutputFolder(), required=True, metavar="RESULTS", help="Folder of the results.")
 def command(
@@ -41,7 +43,7 @@ def command(
     dry_run: bool,
     output: Path,
 ) -> None:
-    """Run the whole chain on a campaign: from its run files to hub loads and a report.
+    """Run the whole chain: from run files to hub loads and a page.
 
     CAMPAIGN is a folder with run files (*.h5), or with folders of them, and a geometry (geometry.yaml or geometry.yml).
     Steps that the rig or the runs do not allow are left out and named. A step is done again only if the content of its

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import Session, balance_command, geometry_option
-from balance_cli.cli.options import NumberRange, OutputFolder, deprecated_option
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import NumberRange, OutputFolder, deprecated_option, geometry_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
 
@@ -53,9 +53,12 @@ LARGEST_NOISE = 1e6
     help="Sample the true rig from the declared tolerances; otherwise it is as declared.",
 )
 @deprecated_option("--draw", "--sample-tolerances", "draw", is_flag=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random numbers.")
+@click.option(
+    "--seed", metavar="N", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random numbers."
+)
 @click.option(
     "--noise",
+    metavar="FACTOR",
     type=NumberRange(min=0),
     default=1.0,
     show_default=True,

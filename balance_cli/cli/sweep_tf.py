@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import (
-    Session,
-    balance_command,
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import (
+    NumberRange,
+    check_band,
     geometry_option,
     output_option,
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import NumberRange, check_band
 from balance_cli.io.formats import TRANSFER_FORMAT
 from balance_cli.signals.response.choices import ESTIMATORS
 
@@ -49,7 +49,7 @@ def command(
     skip_bad: bool,
     output: Path,
 ) -> None:
-    """Estimate the frequency responses of the sweeps, with covariance."""
+    """Estimate the frequency responses of sweeps, with covariance."""
     from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.diagnosis.consistency.severity import measured_anyway
     from balance_cli.steps.sweep_tf import estimate_responses

@@ -46,7 +46,7 @@ def command(
     model: Path | None,
     records: Path | None,
 ) -> None:
-    """Follow the loads of many runs over an attribute and over the campaign.
+    """Follow loads and eigenfrequencies over many runs.
 
     LOADS are .h5 files of `reduce`, from one day or many. Listed are the slopes of mean and blade harmonic over the
     attribute; runs that differ from their repeats, which are runs of the same attributes; and whether the residual test

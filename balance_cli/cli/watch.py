@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
+from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
-from balance_cli.cli.options import InputFolder, NumberRange
+from balance_cli.cli.options import InputFile, InputFolder, NumberRange, OutputFolder
 from balance_cli.cli.reduce_inputs import read_calibration, read_response, read_zero
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.choices import MOST_HARMONICS
@@ -25,17 +25,30 @@ if TYPE_CHECKING:
 @click.option("--transfer", type=InputFile(), metavar="TF", help="Response as measured, interpolated.")
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record.  [default: the newest zero run in DIR]")
 @click.option(
-    "--harmonics", type=click.IntRange(1, MOST_HARMONICS), help="Highest rotor harmonic.  [default: as reduce]"
+    "--harmonics",
+    metavar="N",
+    type=click.IntRange(1, MOST_HARMONICS),
+    help="Highest rotor harmonic.  [default: as reduce]",
 )
 @click.option(
-    "--every", type=NumberRange(0.05, 3600), default=0.5, show_default=True, help="Seconds between two looks."
+    "--every",
+    metavar="SECONDS",
+    type=NumberRange(0.05, 3600),
+    default=0.5,
+    show_default=True,
+    help="Seconds between two looks.",
 )
 @click.option("--once", is_flag=True, help="End when all files in DIR are processed.")
 @click.option(
     "--idle", type=NumberRange(0.1), metavar="SECONDS", help="End when no new file has appeared for this time."
 )
 @click.option(
-    "--page-runs", type=click.IntRange(1, 1000), default=12, show_default=True, help="Newest runs on the page."
+    "--page-runs",
+    metavar="N",
+    type=click.IntRange(1, 1000),
+    default=12,
+    show_default=True,
+    help="Newest runs on the page.",
 )
 @click.option("-o", "--output", type=OutputFolder(), required=True, metavar="RESULTS", help="Folder of the results.")
 def command(
@@ -52,12 +65,12 @@ def command(
     page_runs: int,
     output: Path,
 ) -> None:
-    """Watch a folder: check and reduce each run as it appears, and keep a page with the newest loads.
+    """Watch a folder: check and reduce each run as it appears.
 
-    A file is used when its size and time no longer change, and it can be read. RESULTS then holds page.html, which a
-    browser reloads by itself, loads.h5 with all runs, and journal.jsonl with a line for each file: its loads and
-    whether to trust them, or why it was skipped. Files that cannot be used are skipped; one that changes is reduced
-    again. A zero run serves the runs that come after it.
+    A page shows the newest loads. A file is used when its size and time no longer change, and it can be read. RESULTS
+    then holds page.html, which a browser reloads by itself, loads.h5 with all runs, and journal.jsonl with a line for
+    each file: its loads and whether to trust them, or why it was skipped. Files that cannot be used are skipped; one
+    that changes is reduced again. A zero run serves the runs that come after it.
 
     End it with Ctrl-C, --once or --idle. The same call then resumes where it stopped.
     """

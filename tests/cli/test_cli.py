@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 
 from balance_cli import __version__
 from balance_cli.cli import COMMANDS, balance
-from balance_cli.cli.common import (
+from balance_cli.cli.common import Session, balance_command
+from balance_cli.cli.options import (
     OutputFile,
     OutputFolder,
-    Session,
-    balance_command,
     geometry_option,
     output_option,
     runs_argument,

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.campaign.recording.run import MemorySource, Run
-from balance_cli.cli.common import OutputFolder, balance_command, runs_argument
-from balance_cli.cli.options import check_band
+from balance_cli.cli.common import balance_command
+from balance_cli.cli.options import OutputFolder, check_band, runs_argument
 from balance_cli.cli.reduce_runs import _check_lag, check_name
 from balance_cli.cli.summary import json_parts
 from balance_cli.io.errors import UserError

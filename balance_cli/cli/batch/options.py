@@ -76,6 +76,7 @@ _OPTIONS = (
     click.option(
         "-j",
         "--jobs",
+        metavar="N",
         type=click.IntRange(1, MOST_JOBS),
         default=1,
         show_default=True,
