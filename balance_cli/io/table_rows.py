@@ -153,10 +153,11 @@ def _keep_matching(
     if all(value is None for value in stated):
         return
     texts = [cells[column] for _, cells in points if column < len(cells) and cells[column]]
-    values = np.array([value for text in texts if (value := parse(text)) is not None])
+    numbers = [(text, value) for text in texts if (value := parse(text)) is not None]
+    values = np.array([value for _, value in numbers])
     if len(values) < FEWEST_POINTS or np.ptp(values) == 0.0:
         return
-    unit = max(_last_digit(text) for text in texts[:100])
+    unit = max(_last_digit(text) for text, _ in numbers[:100])
     statistics = {"mean": float(np.mean(values))} | {name: of(values) for name, of in _OTHER_STATISTICS.items()}
     for place, ((_, cells), value) in enumerate(zip(end, stated, strict=True)):
         if value is None:
@@ -168,10 +169,11 @@ def _keep_matching(
 
 
 def _last_digit(cell: str) -> float:
-    """A unit of the last digit of a number as written."""
-    mantissa, _, exponent = cell.lower().replace("d", "e").partition("e")
+    """A unit of the last digit of a number as written, which may have a minus sign of typography in its exponent."""
+    mantissa, _, power = cell.lower().replace("d", "e").replace("\N{MINUS SIGN}", "-").partition("e")
     fraction = re.search(r"[.,](\d*)$", mantissa)
-    return 10.0 ** (int(exponent or 0) - (len(fraction[1]) if fraction else 0))
+    exponent = int(re.sub(r"[^\d-]", "", power) or 0)
+    return float(f"1e{exponent - (len(fraction[1]) if fraction else 0)}")
 
 
 def unnamed_columns(data: Sequence[Row], header: Sequence[str]) -> int:

@@ -168,6 +168,12 @@ def test_load_points_like_statistics_remain(tmp_path: Path, line: str) -> None:
     assert len(table(tmp_path, text).rows) == 7
 
 
+@pytest.mark.parametrize("cell", ["2e\N{MINUS SIGN}1", "0e'1", "1.6e-05e9", "0e99999", "x"])
+def test_the_last_rows_are_compared_with_points_that_have_unusual_numbers(tmp_path: Path, cell: str) -> None:
+    read = table(tmp_path, points_with([]).replace(",0.25,", f",{cell},"))
+    assert len(read.rows) == 6
+
+
 def test_headings_of_blocks(tmp_path: Path) -> None:
     text = "Fx,B1\nN,mV\nSeries 1\n0,1\n5,2\n6,3\n\nSeries 2,\nFx,B1\nN,mV\n7,3\n8,4\n9,5\n"
     read = table(tmp_path, text)
