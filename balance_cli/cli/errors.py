@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import sys
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ EXIT_USER_ERROR = 2
 EXIT_INTERNAL_ERROR = 1
 EXIT_RUNS_SKIPPED = 4
 EXIT_INTERRUPTED = 130
-"""Exit statuses; shells report 130 for a process that was interrupted from the keyboard."""
+EXIT_CLOSED_PIPE = 141
+"""Exit statuses; shells report 130 for a process that was interrupted from the keyboard, and 141 for one whose output
+nobody reads any more (`| head`)."""
 
 SYSTEM_ERRORS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENAMETOOLONG}
 SYSTEM_ERRORS |= {errno.EIO, errno.ENODEV, errno.ESTALE, errno.EMFILE, errno.ENFILE}
@@ -28,6 +31,18 @@ SYSTEM_ERRORS |= {errno.EIO, errno.ENODEV, errno.ESTALE, errno.EMFILE, errno.ENF
 MEMORY_ERRORS = {errno.ENOMEM, errno.EAGAIN}
 MEMORY_WORDS = ("cannot allocate memory", "memory allocation failed", "failed to map segment", "can't start new thread")
 """Parts of the messages by which the loader of extension modules, HDF5 and threads report a lack of memory."""
+
+
+class _OutputError(Exception):
+    """A broken pipe, of an output or of something else. Of the exception itself click makes exit status 1."""
+
+
+@contextmanager
+def _broken_pipes_kept() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError as error:
+        raise _OutputError(*error.args) from error
 
 
 class _ErrorReportingCommand(click.Command):
@@ -53,6 +68,16 @@ class _ErrorReportingCommand(click.Command):
             sys.exit(status)
         sys.exit(status if isinstance(status, int) else 0)
 
+    def make_context(self, *arguments: Any, **extra: Any) -> click.Context:
+        """Parse the words, as click does; help is printed here."""
+        with _broken_pipes_kept():
+            return super().make_context(*arguments, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the function of the command, as click does."""
+        with _broken_pipes_kept():
+            return super().invoke(ctx)
+
 
 class BalanceCommand(_ErrorReportingCommand):
     """One command of `balance`."""
@@ -77,6 +102,10 @@ def report_error(error: BaseException, verbose: bool) -> int:
     if isinstance(error, click.Abort | KeyboardInterrupt):
         _echo_error("interrupted, nothing written")
         return EXIT_INTERRUPTED
+    if isinstance(error, _OutputError):
+        if _has_closed_stream():
+            return EXIT_CLOSED_PIPE
+        return _report_internal_error(error.__cause__ or error, verbose)
     fault = _system_fault(error)
     if fault is not None:
         _echo_error(fault)
@@ -114,6 +143,17 @@ def _has_current_folder() -> bool:
     except OSError:
         return False
     return True
+
+
+def _has_closed_stream() -> bool:
+    """Whether nobody reads one of the standard streams. A broken pipe of a worker or a server is another thing."""
+    if not hasattr(select, "poll"):  # Windows
+        return True
+    poll = select.poll()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # a stream of a test has no number
+            poll.register(stream.fileno(), 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
 
 
 def _drop_unwritable_output() -> None:

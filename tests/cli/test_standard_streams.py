@@ -28,6 +28,25 @@ def test_the_status_is_right_where_nobody_reads_the_message(stream):
     assert run_in_shell(f"BALANCE modes -g none.yaml {stream}")[0] == 2
 
 
+@pytest.mark.parametrize("words", ["check GEOMETRY", "modes -g GEOMETRY --json -", "--help", "modes --help"])
+def test_output_that_nobody_reads_ends_the_program_as_sigpipe_ends_other_tools(words):
+    assert run_in_shell(f"BALANCE {words} | true; exit ${{PIPESTATUS[0]}}")[0] == 141
+
+
+def test_results_are_written_before_they_are_printed(tmp_path):
+    line = f"BALANCE identify -g GEOMETRY --method computed -o {tmp_path}/model.h5 | true; exit ${{PIPESTATUS[0]}}"
+    assert run_in_shell(line) == (141, "")
+    assert (tmp_path / "model.h5").stat().st_size > 0
+
+
+def test_a_broken_pipe_of_something_else_is_an_internal_error():
+    code = "from balance_cli.cli import balance; import click\n"
+    code += "@balance.command()\ndef fail():\n raise BrokenPipeError(32, 'a worker')\n"
+    code += "balance.get_command = lambda *a: fail\n"
+    done = subprocess.run([sys.executable, "-c", f"{code}balance(['fail'])"], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 1 and "internal error, BrokenPipeError" in done.stderr
+
+
 def test_the_number_of_a_closed_stream_is_not_that_of_a_file(tmp_path):
     code = "from balance_cli.__main__ import _open_closed_streams as f; f(); import os, sys"
     path = tmp_path / "data"
