@@ -7,10 +7,12 @@ stands in `consistency` of the result.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Annotated
 
 import numpy as np
 
-from balance_cli.api.inputs import GeometryLike, RunLike, require_disjoint, to_geometry, to_runs
+from balance_cli.api.arguments import Range, check_arguments
+from balance_cli.api.inputs import GeometryLike, RunLike, require_band, require_disjoint, to_geometry, to_runs
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL, choice_of_words, require_known_names
 from balance_cli.campaign.rig.load_components import load_components
@@ -20,6 +22,7 @@ from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import check_effects
 from balance_cli.model.placed_effects import add_effects
+from balance_cli.signals.response.choices import Estimator
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps import calibrate as calibrate_step
 from balance_cli.steps import identify as identify_step
@@ -28,12 +31,13 @@ from balance_cli.steps.cross_checks import cross_check, keep_findings
 from balance_cli.steps.trim_agreement import trim_findings
 
 
+@check_arguments
 def calibrate(
     runs: RunLike | Iterable[RunLike],
     geometry: GeometryLike,
     *,
     terms: str | Sequence[str] = "search",
-    significance: float = TERM_SIGNIFICANCE_LEVEL,
+    significance: Annotated[float, Range(0.0, 1.0, is_open=True)] = TERM_SIGNIFICANCE_LEVEL,
     hold_out: RunLike | Iterable[RunLike] = (),
     non_iterative: bool = False,
 ) -> Calibration:
@@ -67,11 +71,12 @@ def calibrate(
     return keep_findings(result, (*findings, *trim_findings(result)))
 
 
+@check_arguments
 def frequency_response(
     runs: RunLike | Iterable[RunLike],
     geometry: GeometryLike,
     *,
-    estimator: str = "auto",
+    estimator: Estimator = "auto",
     band: tuple[float, float] = (0.0, np.inf),
 ) -> Transfer:
     """Estimate frequency responses from the sweeps, as `balance sweep-tf` does.
@@ -89,12 +94,14 @@ def frequency_response(
     >>> len(responses.to_frame()) == 581 * 15
     True
     """
+    require_band(band)
     rig = to_geometry(geometry)
     records = to_runs(runs, rig)
     findings = cross_check(rig, records, measured_anyway)
     return keep_findings(sweep_tf_step.estimate_responses(records, rig, estimator, band), findings)
 
 
+@check_arguments
 def identify(
     runs: RunLike | Iterable[RunLike],
     geometry: GeometryLike,
@@ -121,6 +128,7 @@ def identify(
     >>> print(f"{table.loc['mode 1 frequency', 'value']:.1f} {table.loc['mode 1 frequency', 'unit']}")
     23.3 Hz
     """
+    require_band(band)
     rig = to_geometry(geometry)
     check_effects(rig, rig.name)
     rig = add_effects(rig, effects)

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 
-from balance_cli.api.inputs import RunLike, require_disjoint, to_runs
+from balance_cli.api.arguments import check_arguments
+from balance_cli.api.inputs import RunLike, require_band, require_disjoint, to_runs
 from balance_cli.diagnosis.conclusions import judge_hold_out
 from balance_cli.diagnosis.consistency.severity import identified_anyway
 from balance_cli.diagnosis.result import Diagnosis
@@ -20,6 +21,7 @@ from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require
 from balance_cli.steps.hold_out_model_error import add_hold_out_error
 
 
+@check_arguments
 def diagnose(
     model: IdentifiedModel,
     runs: RunLike | Iterable[RunLike],
@@ -49,6 +51,7 @@ def diagnose(
     >>> diagnosis.verdict  # doctest: +SKIP
     'explained'
     """
+    require_band(band)
     model = model if band is None else replace(model, band=band)
     fitted, checks = to_runs(runs, model.geometry), to_runs(hold_out, model.geometry)
     require_disjoint(fitted, checks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -61,6 +62,8 @@ def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run,
     items = [runs] if isinstance(runs, Run | str | os.PathLike) else runs
     opened: dict[str, Run] = {}
     for item in items:
+        if not isinstance(item, Run | str | os.PathLike):
+            raise TypeError(f"`runs` must be runs or paths, not {type(item).__name__}")
         run = item if isinstance(item, Run) else read_run(item)
         for mismatch in geometry_mismatches(run, geometry):
             raise mismatch
@@ -68,6 +71,13 @@ def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run,
             raise UserError(f"two runs are named `{run.name}`", str(run.path or run.name), "run", "Give each run once")
         opened[run.name] = with_hub_loads(run, geometry)
     return tuple(opened.values())
+
+
+def require_band(band: tuple[float, float] | None) -> None:
+    """Raise UserError unless a band [Hz] begins at a finite frequency and rises. None: no band is given."""
+    if band is not None and not (math.isfinite(band[0]) and band[0] < band[1]):
+        fault = f"no line lies between {band[0]:g} and {band[1]:g} Hz"
+        raise UserError(fault, "band", remedy="Give the lowest frequency first, then the highest")
 
 
 def require_disjoint(runs: Iterable[Run], hold_out: Iterable[Run]) -> None:

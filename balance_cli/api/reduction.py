@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
+from balance_cli.api.arguments import Range, check_arguments
 from balance_cli.api.inputs import RunLike, to_runs
 from balance_cli.calibration.load_method import choose_load_method
 from balance_cli.calibration.result import Calibration
@@ -15,6 +16,7 @@ from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
 from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.choices import MOST_HARMONICS, Interpolation, LoadModel
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.measured_response import TransferSource, transfer_source
 from balance_cli.reduction.model_sources import model_source
@@ -38,18 +40,19 @@ from balance_cli.steps.reduction_inputs import (
 Response = IdentifiedModel | Transfer | Literal["static"]
 
 
+@check_arguments
 def reduce(
     runs: RunLike | Iterable[RunLike],
     calibration: Calibration | None,
     response: Response,
     *,
     zero: RunLike | None = None,
-    harmonics: int | None = None,
-    rotor: int = 1,
-    interpolation: str = "local",
+    harmonics: Annotated[int, Range(1, MOST_HARMONICS)] | None = None,
+    rotor: Annotated[int, Range(1)] = 1,
+    interpolation: Interpolation = "local",
     method: Literal["harmonic", "kalman", "smoother"] = "harmonic",
-    load_model: str = "harmonics",
-    lag: float = 0.05,
+    load_model: LoadModel = "harmonics",
+    lag: Annotated[float, Range(0.0)] = 0.05,
     mean_loads: Literal["iterative", "non-iterative"] | None = None,
 ) -> HubLoads:
     """Reduce check and wind runs to hub loads at the rotor harmonics, as `balance reduce` does.

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from balance_cli.api.arguments import Range, check_arguments
 from balance_cli.api.inputs import GeometryLike, PathLike, to_geometry
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.simulation import (
@@ -19,6 +20,7 @@ from balance_cli.simulation import (
     true_rig,
 )
 from balance_cli.simulation.files import read_plan
+from balance_cli.simulation.noise import LARGEST_NOISE
 from balance_cli.simulation.preset_plans import PRESETS
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.simulation.truth import random_stream
@@ -27,14 +29,15 @@ DEFAULT_ROTOR_SPEED = 17.5
 """Rotor speed [Hz] of a plan where the geometry declares none: that of the sample campaign."""
 
 
+@check_arguments
 def simulate(
     geometry: GeometryLike,
     plan: str | PathLike | CampaignPlan | Mapping[str, Any] = "standard",
     *,
     effects: Iterable[DeclaredEffect | Mapping[str, Any]] = (),
     sample_tolerances: bool = False,
-    noise: float = 1.0,
-    seed: int = 0,
+    noise: Annotated[float, Range(0.0, LARGEST_NOISE)] = 1.0,
+    seed: Annotated[int, Range(0)] = 0,
 ) -> Campaign:
     """Simulate a campaign in the time domain, as `balance simulate` does; returns `runs` and their `truths`.
 

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from balance_cli.simulation import CampaignPlan, Noise, TrueRig
     from balance_cli.simulation.extensions.base import Extension
 
-LARGEST_NOISE = 1e6
-"""Factor on the noise of the recorded campaign; with it every signal is buried."""
-
 
 @balance_command("simulate")
 @geometry_option
@@ -84,6 +81,7 @@ def command(
     from dataclasses import replace
 
     from balance_cli.simulation import iterate_simulated_runs
+    from balance_cli.simulation.noise import LARGEST_NOISE
     from balance_cli.simulation.rig import apply_effects
 
     if output.exists() and any(output.iterdir()):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 HARMONIC, KALMAN, SMOOTHER = "harmonic", "kalman", "smoother"
 METHODS = (HARMONIC, KALMAN, SMOOTHER)
 """How loads are reduced; the first is the default."""
@@ -9,7 +11,8 @@ FREQUENCIES = "frequencies"
 """The method of loads at given frequencies in place of rotor harmonics."""
 
 HARMONICS, RANDOM, FREE = "harmonics", "random", "free"
-LOAD_MODELS = (HARMONICS, RANDOM, FREE)
+LoadModel = Literal["harmonics", "random", "free"]
+LOAD_MODELS: tuple[LoadModel, ...] = get_args(LoadModel)
 """What a filter or smoother assumes of the loads; the first is the default."""
 LOAD_MODEL_TEXTS = {
     HARMONICS: "harmonics locked to the azimuth, and random loads",
@@ -17,7 +20,8 @@ LOAD_MODEL_TEXTS = {
     FREE: "any loads within the band",
 }
 
-INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
+Interpolation = Literal["local", "spline", "first-order", "nearest"]
+INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
 """How a measured response is interpolated; the first is the default (`signals.response.interpolation` has them)."""
 
 ITERATIVE, NON_ITERATIVE = "iterative", "non-iterative"

@@ -13,6 +13,9 @@ from balance_cli.campaign.rig.declared_values import FrozenModel, Name, Positive
 
 Array = NDArray[np.float64]
 
+LARGEST_NOISE = 1e6
+"""Factor on the noise of the recorded campaign; with it every signal is buried."""
+
 
 @dataclass(frozen=True)
 class Noise:
