@@ -11,6 +11,9 @@ SEPARATORS = ("\t", ";", "|", ",", " ")
 REMARKS = ("#", "%", "//")
 """Signs with which remarks begin."""
 WORKBOOK_SIGNATURE = b"PK\x03\x04"
+ARRAY_SIGNATURE = b"\x93NUMPY"
+ARRAY_MEMBER = b".npy"
+"""How a numpy array begins, and how the names of those in an archive end."""
 MARKUP_SIGNATURES = (b"<?xml", b"\xef\xbb\xbf<?xml", b"<!DOCTYPE", b"<html")
 SENSOR_MARK = b"<FTSensor"
 """The element of ATI's calibration files."""
@@ -18,6 +21,12 @@ SENSOR_MARK = b"<FTSensor"
 
 def require_plain_text(head: bytes, path: Path) -> None:
     """Raise UserError where a file begins as workbooks of spreadsheets, XML or web pages do."""
+    if head.startswith(WORKBOOK_SIGNATURE) and ARRAY_MEMBER in head:
+        remedy = "Export its arrays as CSV, MAT, HDF5 or Parquet"
+        raise UserError("is an archive of numpy arrays (.npz), and no table", str(path), remedy=remedy)
+    if head.startswith(ARRAY_SIGNATURE):
+        remedy = "Export it as CSV, MAT, HDF5 or Parquet"
+        raise UserError("is a numpy array (.npy), which has no names of channels", str(path), remedy=remedy)
     if head.startswith(WORKBOOK_SIGNATURE):
         raise UserError("is a workbook (or another zip file)", str(path), remedy="Save the sheet as CSV")
     if SENSOR_MARK in head:
