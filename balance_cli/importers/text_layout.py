@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
 from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
+from balance_cli.importers.stated_clock import stated_rate
 from balance_cli.importers.text_clock import CLOCK
 from balance_cli.importers.text_names import KEY, counts_rows, names_and_units
 from balance_cli.importers.time_columns import time_columns
-from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_cells import SEPARATORS, is_remark
 from balance_cli.io.text_numbers import group_sign, is_missing, is_number, require_clear_decimals
@@ -30,19 +30,6 @@ FEWEST_SPARSE_ROWS = 4
 NUMERIC_COLUMN_SHARE = 0.9
 """Share of the cells of a column that must be numbers for a column of numbers: a word among them (`Max`, `overload`) is
 then a fault of its row, where a column of labels has hardly any number."""
-_RATE = re.compile(
-    r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|messrate|\bfs)\b[^\w\n]*(?:(k?hz)\b[^\w\n]*)?"
-    r"([0-9]+(?:[.,][0-9]+)?)\s*(k?hz)?",
-    re.IGNORECASE,
-)
-"""Between the word and its number only signs and a unit: `default sample rate <tab> DMS_1` states none."""
-_STEP = re.compile(
-    r"^\W*(?:delta[ _]?[xt]|d[tx]|x-axis delta|time[ _]step|(?:sampl\w*|time)[ _]interval|abtastintervall)\b"
-    r"[^\w\n]*(?:s\b[^\w\n]*)?"
-    r"([0-9]*[.,]?[0-9]+(?:e[-+]?[0-9]+)?)(?=[\s;]|$)(?![ \t]*[muµ]s\b)",
-    re.IGNORECASE | re.MULTILINE,
-)
-"""A time step [s], as LabVIEW (`Delta_X`), catman (`DT = `) and imc (`dx:`) state it."""
 COLUMN_CLOCKS = ("delta_x", "dx", "x0")
 """First cells of rows with the step or the start of each column, in lower case without a colon."""
 COMMENTS = ("comment", "comments", "remark", "kommentar", "bemerkung")
@@ -117,7 +104,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
     return Columns(
         *(encoding, separator, decimal, first, names, units, numeric, clock),
-        *(rate or _stated_rate(lines[:first]), sparse, times, sign),
+        *(rate or stated_rate(lines[:first]), sparse, times, sign),
     )
 
 
@@ -267,15 +254,3 @@ def _column_kinds(
         elif cells and all(CLOCK.match(cell) for cell in cells):
             clock.append(column)
     return tuple(numeric), tuple(clock)
-
-
-def _stated_rate(header: Sequence[str]) -> float | None:
-    """A sample rate [Hz] that the header states, itself or by its time step, for a sketch."""
-    text = "\n".join(header)
-    if rate := _RATE.search(text):
-        return float(rate[2].replace(",", ".")) * (1000.0 if (rate[1] or rate[3] or "").lower() == "khz" else 1.0)
-    step = _STEP.search(text)
-    try:
-        return plausible_rate(step[1].replace(",", "."))[0] if step else None
-    except ValueError:
-        return None

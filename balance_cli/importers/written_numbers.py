@@ -23,7 +23,7 @@ def plausible_rate(step: str) -> tuple[float, str]:
     the step. Raises ValueError where the step is no positive number.
     """
     value = float(step.upper().replace("D", "E"))
-    if not (value > 0.0 and math.isfinite(1.0 / value)):
+    if not (0.0 < value < math.inf and math.isfinite(1.0 / value)):
         raise ValueError(f"a step of {step} s is no time")
     rate = 1.0 / value
     half_unit = STEP_MARGIN * _half_unit(step) / value

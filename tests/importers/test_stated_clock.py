@@ -1,0 +1,54 @@
+"""The sample rate in the heads of text files."""
+
+import pytest
+
+from balance_cli.importers.stated_clock import stated_rate
+
+
+@pytest.mark.parametrize(
+    ("line", "rate"),
+    [
+        ("Sample Rate: 1000 sps", 1000.0),
+        ("TIMESERIES BW_RJOB__EHZ_D, 6001 samples, 200 sps, 2009-08-24T00:20:03.000000, SLIST", 200.0),
+        ("Sample rate: 2 kS/s", 2000.0),
+        ("Sampling Rate: 1 MHz", 1e6),
+        ("Sampling rate [S/s]\t2000", 2000.0),
+        ("samples per second = 1000", 1000.0),
+        ("Sample rate 1.0E+03", 1000.0),
+        ("Sample rate: 1 000 Hz", 1000.0),
+        ("Abtastrate: 2,5 kHz", 2500.0),
+        ("sample_rate_hz = 500", 500.0),
+        ("Scan Rate,,1000", 1000.0),
+        ("DELTA: 2.50e-02", 40.0),
+        ("Delta: 1 ms", 1000.0),
+        ("DELTA;0,0005", 2000.0),
+        ("Delta_X,0.001,0.001,0.001", 1000.0),
+        ("Sample Interval: 0.5 msec", 2000.0),
+        ("Time Step: 100 \N{MICRO SIGN}s", 1e4),
+        ("SAMPLING INTERVAL (S)  .0025", 400.0),
+    ],
+)
+def test_a_rate_is_read_with_its_unit(line, rate):
+    assert stated_rate(["Wind tunnel 3", line, "Kanal 1"]) == pytest.approx(rate, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "Sampling Frequency 1,000 Hz",
+        "Fs: 1,000,000",
+        "Sample rate 1.000,5",
+        "Sample rate: 12:30:11",
+        "Sample rate 0 Hz",
+        "default sample rate\tDMS_1",
+        "Frequency 50 Hz",
+        "Rated load 500",
+        "Number of samples: 5000",
+        "Delta 3 bar",
+        "delta_x 0.5 V",
+        "dt=1e400",
+        "dt=0",
+    ],
+)
+def test_what_is_ambiguous_or_no_rate_is_none(line):
+    assert stated_rate([line]) is None
