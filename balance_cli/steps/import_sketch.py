@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,14 +16,15 @@ from balance_cli.importers.base import ForeignChannel, ForeignFile
 from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
-from balance_cli.io.units import FORCE, MOMENT, TIME
+from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT, TIME
 from balance_cli.steps.sketched_times import empty_times, even_column, time_axis, time_channel, unit_of
 
 FASTEST_GUESS = 2e6
 """[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
 RATE_TOLERANCE = 1e-3
 """Relative difference from which the rate in the head of a file contradicts its times."""
-TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|speed", re.IGNORECASE)
+TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|\bpsi\b|speed", re.IGNORECASE)
+ANGLE_NAME = re.compile(r"azimu|\bpsi\b|angle|winkel", re.IGNORECASE)
 YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 """Words that YAML does not take for text."""
 SIMILARITY = 0.6
@@ -57,7 +59,7 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     _require_signals(first, channels, time)
     ignored = [time, *times, *empty_times(first)]
     rest = [channel for channel in channels if not any(channel is other for other in ignored)]
-    tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
+    tachometer = next((channel for channel in rest if _is_tachometer(channel)), None)
     rest = [channel for channel in rest if channel is not tachometer]
     loads, rest = _guess_loads(rest)
     lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
@@ -71,6 +73,11 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     )
     lines += _rotor_lines(tachometer, geometry)
     return "\n".join([*lines, "runs:", *_run_lines(files, geometry)]) + "\n"
+
+
+def _is_tachometer(channel: ForeignChannel) -> bool:
+    """Whether a channel has the name of a tachometer, and is no speed in rpm or Hz."""
+    return bool(TACHOMETER.search(channel.name)) and unit_of(channel.unit, FREQUENCY) is None
 
 
 def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time: ForeignChannel | None) -> None:
@@ -196,11 +203,23 @@ def _rotor_lines(tachometer: ForeignChannel | None, geometry: Geometry | None) -
     name = _quoted(tachometer.name) if tachometer is not None else "TACHOMETER"
     yield f"{mark}rotor:"
     yield f"{mark}  channel: {name}"
-    yield f"{mark}  pulses_per_revolution: 1"
+    yield from _pulse_lines(tachometer, mark)
     declared = geometry.acquisition.filter if geometry is not None else None
     if declared is not None:
         text = f"filter: {{order: {declared.order}, cutoff: {declared.cutoff:g}}}"
         yield f"{mark}  # {text}  # TODO: where the tachometer passes the anti-alias filter, too"
+
+
+def _pulse_lines(tachometer: ForeignChannel | None, mark: str) -> Iterator[str]:
+    """Yield how a revolution is found: by pulses, or by the angle that the unit or the name of the channel states."""
+    unit = unit_of(tachometer.unit, ANGLE) if tachometer is not None else None
+    is_angle = tachometer is not None and not tachometer.unit and ANGLE_NAME.search(tachometer.name)
+    if unit is None and not is_angle:
+        yield f"{mark}  pulses_per_revolution: 1"
+        return
+    counts = 2 * math.pi / unit.factor if unit is not None else 360.0
+    yield f"{mark}  kind: counts"
+    yield f"{mark}  counts_per_revolution: {counts:.15g}" + ("" if unit is not None else "  # TODO: check the unit")
 
 
 def _run_lines(files: Sequence[ForeignFile], geometry: Geometry | None) -> Iterator[str]:

@@ -387,3 +387,20 @@ def test_a_spectrum_with_a_column_called_time_is_refused(tmp_path):
         status=2,
     )
     assert "seems to be a spectrum" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("head", "lines"),
+    [
+        ("Azimuth [deg]", ["rotor:", "  channel: Azimuth", "  kind: counts", "  counts_per_revolution: 360"]),
+        ("psi [rad]", ["rotor:", "  channel: psi", "  kind: counts", "  counts_per_revolution: 6.28318530717959"]),
+        ("azimuth", ["rotor:", "  channel: azimuth", "  kind: counts", "  counts_per_revolution: 360  # TODO: check"]),
+        ("Tacho [V]", ["rotor:", "  channel: Tacho", "  pulses_per_revolution: 1"]),
+        ("Rotor speed [rpm]", ["# rotor:", "#   channel: TACHOMETER", "#   pulses_per_revolution: 1"]),
+    ],
+)
+def test_a_sketch_tells_angles_and_speeds_from_pulses(tmp_path, head, lines):
+    rows = "".join(f"{k / 100:.2f},{k % 7},{3.6 * (17 * k % 100):.1f}\n" for k in range(100))
+    (tmp_path / "wind-1.csv").write_text(f"Time [s],x.strain [V],{head}\n{rows}", encoding="utf-8")
+    sketch = invoke("import", "--sketch", tmp_path / "wind-1.csv").stdout
+    assert "\n".join(lines) in sketch

@@ -21,6 +21,11 @@ REACH = 24
 """Samples on either side by which a value between samples is interpolated."""
 EXTREME_SHARE = 1e-3
 """Quantile that stands for the low and the high state: a pulse of 0.4 deg fills it, single spikes do not."""
+FEWEST_JUMPS = 3
+"""Jumps back by which a ramp is one that repeats: fewer pulses are refused anyway."""
+UNEVENNESS = 0.1
+"""Largest distance of the distribution of a ramp from an even one: noise of 5 % of the range and a speed that varies
+stay below it, sines have 0.18 and pulses 0.5."""
 HYSTERESIS = 0.2
 """Default half width of the hysteresis over the swing: four standard deviations of noise of 5 % of the swing."""
 
@@ -61,6 +66,20 @@ def find_levels(read: ReadSamples, samples: int, level: float | None, hysteresis
     low, high = (float(value) for value in np.median(np.array(quantiles), axis=0))
     middle = 0.5 * (low + high) if level is None else level
     return Levels(low, high, middle, HYSTERESIS * (high - low) if hysteresis is None else hysteresis)
+
+
+def is_ramp(signal: Array) -> bool:
+    """Whether a signal passes evenly through its range and begins again, as an angle does: it has no pulses.
+
+    It jumps through more than half of its range in one direction only, and its values are evenly distributed.
+    """
+    low, high = np.min(signal), np.max(signal)
+    steps = np.diff(signal) / max(high - low, np.finfo(float).tiny)
+    up, down = int(np.sum(steps > 0.5)), int(np.sum(steps < -0.5))
+    if min(up, down) > 0 or max(up, down) < FEWEST_JUMPS:
+        return False
+    even = np.linspace(0.0, 1.0, len(signal))
+    return bool(np.max(np.abs((np.sort(signal) - low) / (high - low) - even)) < UNEVENNESS)
 
 
 def find_edges(read: ReadSamples, samples: int, rate: float, levels: Levels) -> Edges:

@@ -17,6 +17,7 @@ from balance_cli.signals.rotor.edges import (
     ReadSamples,
     find_edges,
     find_levels,
+    is_ramp,
 )
 from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
 
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 GAP_RATIO = 1.5
 """Interval over the median of its neighbors from which a tooth is missing, and width over the median width of a wide
 pulse: halfway between one and two."""
+MOST_EXAMINED = 2**16
+"""Samples by which an angle is told from pulses: a minute at 1 kHz."""
 NEIGHBORS = 9
 """Intervals of the running median."""
 INDEX_REMEDY = "Correct `pulses_per_revolution` and `index`, or give another tachometer channel"
@@ -130,6 +133,8 @@ def _apply_offset(times: Array, azimuth: Azimuth, settings: TachometerSettings) 
 def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: TachometerSettings) -> tuple[Array, list[str]]:
     levels = find_levels(read, samples, settings.level, settings.hysteresis)
     _check_levels(levels)
+    if settings.level is None and settings.slope == "auto":
+        _refuse_angle(read(0, min(samples, MOST_EXAMINED)))
     edges = find_edges(read, samples, rate, levels)
     rising = settings.slope == "rising" or (settings.slope == "auto" and _is_high_shorter(edges))
     leading, trailing = (edges.rising, edges.falling) if rising else (edges.falling, edges.rising)
@@ -144,6 +149,15 @@ def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: Tachome
         times = times - lag
         more.append(f"the low-pass of the tachometer delays its edges by {1e3 * lag:.4g} ms, which was taken out")
     return times, notes + more
+
+
+def _refuse_angle(signal: Array) -> None:
+    """Raise UserError for an angle: the middle of its range is passed half a revolution away from zero."""
+    finite = np.asarray(signal, float)[np.isfinite(signal)]
+    if len(finite) and is_ramp(finite):
+        fault = f"passes evenly from {np.min(finite):.4g} to {np.max(finite):.4g} and begins again: an angle, not pulses"
+        remedy = "Give `kind: counts` with `counts_per_revolution` (360 for degrees, else the range), or a `slope`"
+        raise UserError(fault, place="tachometer", remedy=remedy)
 
 
 def _check_levels(levels: Levels) -> None:

@@ -143,3 +143,32 @@ def test_the_smoother_keeps_a_change_of_speed():
     assert np.std(smoothed.times - exact) == pytest.approx(smoothed.sigma, rel=0.35)
     assert smoothed.scatter == pytest.approx(2e-5, rel=0.1)
     assert smooth_pulses(exact, np.arange(800)).sigma < 1e-7
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_an_angle_is_not_read_as_pulses(noise, direction):
+    """Its middle, where the edges would be, is half a revolution away from zero."""
+    psi = ROTOR.azimuth(np.arange(8000) / 1000.0) / (2 * np.pi)
+    angle = 360.0 * ((direction * psi) % 1.0) + 360.0 * noise * np.random.default_rng(2).standard_normal(len(psi))
+    with pytest.raises(UserError, match="an angle, not pulses") as raised:
+        reference(angle, 1000.0)
+    assert "kind: counts" in raised.value.remedy
+    if noise == 0.0:
+        found = reference(angle, 1000.0, kind="counts", counts_per_revolution=360.0)
+        assert np.max(np.abs(azimuth_errors(found.pulse_times))) < 1e-3
+        assert len(reference(angle, 1000.0, slope="rising").pulse_times) > 100
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        pulse(0.5),
+        lambda psi: 0.5 + 0.5 * np.sin(2 * np.pi * psi),  # magnetic pick-up
+        lambda psi: np.abs(2 * (psi % 1.0) - 1.0),  # triangle
+        lambda psi: np.exp(-(psi % 1.0) / 0.2),  # behind a high-pass
+    ],
+)
+def test_other_signals_have_pulses(shape):
+    samples, _ = signal(1000.0, shape, noise=0.01, filtered=False)
+    assert len(reference(samples, 1000.0).pulse_times) == pytest.approx(8 * 17.5, abs=2)
