@@ -161,6 +161,24 @@ if __name__ == "__main__":
 """
 
 
+IMPORTED_SERVER = """
+import os
+from balance_cli.cli.batch.executors import batch_workers
+if __name__ == "__main__":
+    with batch_workers(2, None).open() as pool:
+        assert pool.submit(abs, -1).result() == 1
+    import balance_cli.cli.batch.server
+    print(*os.listdir(os.environ["TMPDIR"]))
+"""
+
+
+def test_the_module_of_the_server_may_be_imported_elsewhere(tmp_path):
+    """The process that had started workers lost its folder, and printed a traceback when it ended."""
+    done = run(IMPORTED_SERVER, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)})
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "pymp-" in done.stdout and list(tmp_path.iterdir()) == []
+
+
 def test_a_killed_batch_leaves_no_temporary_files(tmp_path):
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     # The pipes of the output are open until the last of its processes has ended.

@@ -32,7 +32,7 @@ THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
 SERVER_MODULE = "balance_cli.cli.batch.server"
 """Imported once, by the server that forks the workers."""
 SERVER_FOLDER_VARIABLE = "BALANCE_WORKER_FOLDER"
-"""Environment variable that tells the server the folder to remove."""
+"""Environment variable that tells the server which process started it, and the folder to remove."""
 NO_TRACKER_WARNING = "ignore:resource_tracker:UserWarning"
 """Option `-W` of the process that frees semaphores: it need not tell the user of a command that a signal ended."""
 KEPT_MEMORY = 2**28
@@ -95,7 +95,7 @@ def _process_pool(jobs: int) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(jobs, context, initializer=_start_worker)
     server = multiprocessing.get_context("forkserver")
     server.set_forkserver_preload([SERVER_MODULE])
-    os.environ[SERVER_FOLDER_VARIABLE] = multiprocessing.util.get_temp_dir()
+    os.environ[SERVER_FOLDER_VARIABLE] = f"{os.getpid()} {multiprocessing.util.get_temp_dir()}"
     if NO_TRACKER_WARNING not in sys.warnoptions:
         sys.warnoptions.append(NO_TRACKER_WARNING)
     return ProcessPoolExecutor(jobs, server, initializer=_start_worker)

@@ -17,5 +17,14 @@ def _remove_folder(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def remove_folder_at_end(started_by: int, folder: str) -> bool:
+    """Let this process remove the folder when it ends, unless it is the command itself, which does so anyway."""
+    if started_by == os.getpid():
+        return False
+    atexit.register(_remove_folder, folder, os.getpid())
+    return True
+
+
 if SERVER_FOLDER_VARIABLE in os.environ:
-    atexit.register(_remove_folder, os.environ[SERVER_FOLDER_VARIABLE], os.getpid())
+    command, _, name = os.environ[SERVER_FOLDER_VARIABLE].partition(" ")
+    remove_folder_at_end(int(command), name)
