@@ -48,7 +48,8 @@ def test_version_is_the_same_everywhere():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert str(citation["version"]) == balance_cli.__version__
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert re.search(rf"^## {re.escape(balance_cli.__version__)}", changes, re.MULTILINE)
+    heads = re.findall(r"^## (.*)$", changes, re.MULTILINE)
+    assert heads[0] == f"{balance_cli.__version__} - {citation['date-released']}"
 
 
 def test_license_is_the_same_everywhere():
