@@ -25,7 +25,8 @@ _RATES = (
 """A word for the rate and its number; a unit of rates and its number; and the reverse (`100 sps`, `2 kS/s`)."""
 _STEP = re.compile(
     r"^\W*(?:delta(?:[ _]?[xt])?|d[tx]|x-axis delta|time[ _](?:step|interval)|sampl\w*[ _](?:interval|period|time)"
-    rf"|abtastintervall)\b{_SIGNS}(?:{_TIME_UNIT.format('before')})?{_SIGNS}{_NUMBER}[ \t,;]*+(?:{_TIME_UNIT.format('behind')}|(?![a-z%]))",
+    rf"|abtastintervall)\b{_SIGNS}(?:{_TIME_UNIT.format('before')})?{_SIGNS}{_NUMBER}"
+    rf"[ \t,;]*+(?:{_TIME_UNIT.format('behind')}|(?![a-z%]))",
     re.IGNORECASE | re.MULTILINE,
 )
 """A time step, as LabVIEW (`Delta_X`), catman (`DT = `), imc (`dx:`) and seismology (`DELTA: `) state it."""

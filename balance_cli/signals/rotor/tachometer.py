@@ -155,7 +155,8 @@ def _refuse_angle(signal: Array) -> None:
     """Raise UserError for an angle: the middle of its range is passed half a revolution away from zero."""
     finite = np.asarray(signal, float)[np.isfinite(signal)]
     if len(finite) and is_ramp(finite):
-        fault = f"passes evenly from {np.min(finite):.4g} to {np.max(finite):.4g} and begins again: an angle, not pulses"
+        limits = f"{np.min(finite):.4g} to {np.max(finite):.4g}"
+        fault = f"passes evenly from {limits} and begins again: an angle, not pulses"
         remedy = "Give `kind: counts` with `counts_per_revolution` (360 for degrees, else the range), or a `slope`"
         raise UserError(fault, place="tachometer", remedy=remedy)
 

@@ -164,7 +164,7 @@ def test_an_angle_is_not_read_as_pulses(noise, direction):
     "shape",
     [
         pulse(0.5),
-        lambda psi: 0.5 + 0.5 * np.sin(2 * np.pi * psi),  # magnetic pick-up
+        lambda psi: 0.5 + 0.5 * np.sin(2 * np.pi * psi),  # magnetic sensor
         lambda psi: np.abs(2 * (psi % 1.0) - 1.0),  # triangle
         lambda psi: np.exp(-(psi % 1.0) / 0.2),  # behind a high-pass
     ],
