@@ -119,20 +119,19 @@ def _similar_pairs(
 ) -> Iterator[tuple[int, int, float]]:
     """Pairs of candidates whose traces have at least one direction in common."""
     roots = [_inverse_root(projected.block(each, each)) for each in positions]
-    whitened = np.zeros_like(projected.V)
+    whitened = projected.V.copy()
     for rows, root in zip(positions, roots, strict=True):
-        whitened[rows] = root @ projected.V[rows]
-    for i, rows in enumerate(positions):
-        for j in range(i + 1, len(positions)):
-            if _is_same_at_wider_place(model.candidates[i], model.candidates[j]):
-                continue
-            block = whitened[np.ix_(rows, positions[j])] @ roots[j].T
-            # The Frobenius norm bounds the largest singular value: most pairs need no decomposition.
-            if float(np.linalg.norm(block)) < ALIKE:
-                continue
-            cosine = min(float(np.linalg.norm(block, 2)), 1.0)
-            if cosine >= ALIKE:
-                yield i, j, cosine
+        whitened[rows] = root @ whitened[rows]
+        whitened[:, rows] = whitened[:, rows] @ root.T
+    # The Frobenius norm bounds the largest singular value: most pairs need no decomposition.
+    starts = np.array([rows[0] for rows in positions], dtype=np.intp)
+    squares = np.add.reduceat(np.add.reduceat(whitened**2, starts, axis=0), starts, axis=1)
+    for i, j in np.argwhere(np.triu(squares >= ALIKE**2, 1)).tolist():
+        if _is_same_at_wider_place(model.candidates[i], model.candidates[j]):
+            continue
+        cosine = min(float(np.linalg.norm(whitened[np.ix_(positions[i], positions[j])], 2)), 1.0)
+        if cosine >= ALIKE:
+            yield i, j, cosine
 
 
 def _is_same_at_wider_place(first: Candidate, second: Candidate) -> bool:

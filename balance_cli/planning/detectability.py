@@ -14,6 +14,7 @@ parameter alone the smallest size is sqrt(lambda / V_ii), lambda being the nonce
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -199,13 +200,21 @@ def informed_directions(V: Array) -> int:
 
 
 def smallest_sizes(
-    projected: ProjectedInformation, model: ExtendedModel, detection: DetectionLevel
+    projected: ProjectedInformation,
+    model: ExtendedModel,
+    detection: DetectionLevel,
+    among: Collection[int] | None = None,
 ) -> tuple[SmallestSize, ...]:
-    """The smallest size of every parameter of interest of every candidate, in their order."""
+    """The smallest size of every parameter of interest of every candidate, in their order.
+
+    `among`: only of the candidates that have one of these parameters (`SmallestSize.index`).
+    """
     sizes = []
     for candidate, positions, dof in zip(
         model.candidates, tested_positions(model), projected.noise_dof.tolist(), strict=True
     ):
+        if among is not None and not set(positions.tolist()) & set(among):
+            continue
         V = projected.block(positions, positions)
         directions = max(informed_directions(V), 1)
         needed = required_noncentrality(directions, model.candidate_count, detection, dof)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,9 @@ NOT_PREDICTED = "its frequency and phase are unknown, and it belongs to the hall
 class Stage:
     """What is known after some of the runs: smallest `sizes`, `covariance` (f, f), and `projection` (f, t).
 
-    The last two are those of `ProjectedInformation`, which itself is gigabytes for a thousand parameters and 60 runs.
+    `sizes` are those of all candidates after the last run; before it, those of the candidates that are then the hardest
+    to find of their effects. The last two are those of `ProjectedInformation`, which itself is gigabytes for a thousand
+    parameters and 60 runs.
     """
 
     sizes: tuple[SmallestSize, ...]
@@ -42,16 +45,31 @@ def forecast_stages(
     before: RunInformation, runs: Sequence[RunInformation], model: ExtendedModel, detection: DetectionLevel
 ) -> tuple[tuple[Stage, ...], RunInformation]:
     """What is known before the first run and after each, and the information of all of them."""
-    total, stages = before, [_stage(before, model, detection)]
-    for run in runs:
-        total = add_information([total, run], model)
-        stages.append(_stage(total, model, detection))
-    return tuple(stages), total
+    totals = accumulate(runs, lambda total, run: add_information([total, run], model), initial=before)
+    last = add_information([before, *runs], model)
+    end = _stage(last, model, detection)
+    hardest = {_hardest(rows, model).index for rows in _rows_by_effect(end.sizes).values()}
+    return (*(_stage(total, model, detection, hardest) for total in islice(totals, len(runs))), end), last
 
 
-def _stage(total: RunInformation, model: ExtendedModel, detection: DetectionLevel) -> Stage:
+def _stage(
+    total: RunInformation, model: ExtendedModel, detection: DetectionLevel, among: Collection[int] | None = None
+) -> Stage:
     projected = project(total, model)
-    return Stage(smallest_sizes(projected, model, detection), projected.covariance, projected.projection)
+    return Stage(smallest_sizes(projected, model, detection, among), projected.covariance, projected.projection)
+
+
+def _rows_by_effect(sizes: Sequence[SmallestSize]) -> dict[str, list[SmallestSize]]:
+    rows: dict[str, list[SmallestSize]] = {}
+    for item in sizes:
+        rows.setdefault(item.effect, []).append(item)
+    return rows
+
+
+def _hardest(rows: Sequence[SmallestSize], model: ExtendedModel) -> SmallestSize:
+    """The parameter of an effect that is hardest to find, of those that are found at all."""
+    shown = [item for item in rows if np.isfinite(item.size)]
+    return max(shown or rows, key=lambda item: item.size / model.scales[item.index])
 
 
 def unpredicted_effects(model: ExtendedModel, names: Collection[str] | None = None) -> dict[str, str]:
@@ -89,25 +107,23 @@ def detectable_effects(
     beyond = [(run.run, np.diag(project(run, model).V).copy()) for run in further]
     tables = [stage.sizes for stage in stages]
     unpredicted = {item.effect.name for item in model.candidates if item.effect.search.tone is not None}
-    names = dict.fromkeys(item.effect for item in tables[-1])
     return tuple(
-        _detectable_effect(name, tables, stages, model, forecast, beyond) for name in names if name not in unpredicted
+        _detectable_effect(rows, tables, stages, model, forecast, beyond)
+        for name, rows in _rows_by_effect(tables[-1]).items()
+        if name not in unpredicted
     )
 
 
 def _detectable_effect(
-    name: str,
+    rows: Sequence[SmallestSize],
     tables: Sequence[Sequence[SmallestSize]],
     stages: Sequence[Stage],
     model: ExtendedModel,
     forecast: LoadForecast | None,
     beyond: Sequence[tuple[str, Array]],
 ) -> DetectableEffect:
-    rows = [item for item in tables[-1] if item.effect == name]
-    scale = model.scales
-    shown = [item for item in rows if np.isfinite(item.size)]
-    hardest = max(shown or rows, key=lambda item: item.size / scale[item.index])
-    easiest = min(rows, key=lambda item: item.size / scale[item.index])
+    hardest = _hardest(rows, model)
+    easiest = min(rows, key=lambda item: item.size / model.scales[item.index])
     at_hardest = [next(item for item in table if item.index == hardest.index) for table in tables]
     errors = [
         None if forecast is None else load_error(forecast, model, stage.projection, item)
@@ -120,7 +136,7 @@ def _detectable_effect(
     of_components = None if last is None or forecast is None else dict(zip(forecast.components, last, strict=True))
     missing = tuple(f"{item.label}: {item.parameter}" for item in rows if not np.isfinite(item.size))
     return DetectableEffect(
-        effect=name,
+        effect=hardest.effect,
         label=hardest.label,
         parameter=hardest.parameter,
         unit=hardest.unit,
