@@ -68,7 +68,7 @@ def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run,
         for mismatch in geometry_mismatches(run, geometry):
             raise mismatch
         if run.name in opened:
-            raise UserError(f"two runs are named `{run.name}`", str(run.path or run.name), "run", "Give each run once")
+            raise UserError(f"two runs are named `{run.name}`", run.file, "run", "Give each run once")
         opened[run.name] = with_hub_loads(run, geometry)
     return tuple(opened.values())
 

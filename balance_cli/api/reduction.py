@@ -119,7 +119,7 @@ def _reduce_run(
             return _reduce_in_time(run, geometry, calibration, source, zero, options)
         return reduce_run(run, geometry, calibration, source, zero, options)
     except UserError as error:
-        raise error.with_file_of(run.name, str(run.path or run.name)) from error
+        raise error.with_file_of(run.name, run.file) from error
 
 
 def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, rotor: int) -> tuple[int, str]:

@@ -185,13 +185,13 @@ class Session(Messages, WorkReports):
         try:
             yield
         except UserError as error:
-            named = error.with_file_of(run.name, str(run.path or run.name))
+            named = error.with_file_of(run.name, run.file)
             if not skip_bad:
                 raise named from error
             for path in self._outputs[before:]:
                 self._staged.unstage(path)
             del self._outputs[before:]
-            self.report_skipped(str(run.path or run.name), str(named))
+            self.report_skipped(run.file, str(named))
 
     def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
         """Set the summary (one JSON object) and the text for the user, printed once all outputs are in place."""

@@ -37,7 +37,7 @@ def require_consistent_runs(
     """
     from balance_cli.diagnosis.consistency.campaign import campaign_findings
 
-    paths = {run.name: str(run.path or run.name) for run in runs}
+    paths = {run.name: run.file for run in runs}
     bad = inconsistent_runs(session, campaign_findings(geometry, runs, usual_noise), paths, skip_bad, is_harmless)
     with session.collect_messages():
         for name, reason in bad.items():

@@ -79,7 +79,7 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
         if health.left_out:
             left_out[run.name] = health.left_out
         if not health.live:
-            name = str(run.path or run.name)
+            name = run.file
             raise UserError("no usable channel", name, "channels", "Repair this run or leave it out")
         if run.kind == "static":
             try:

@@ -114,7 +114,7 @@ def _check_determined(T: ComplexArray, record: RotorRecord, scale: Array) -> Non
     unidentifiable = ", ".join(without_response) or ", ".join(record.components)
     raise UserError(
         f"the remaining channels do not determine {unidentifiable} (left out: {left_out})",
-        str(record.run.path or record.run.name),
+        record.run.file,
         "channels",
         "Repair the channels, or leave the run out with --skip-bad",
     )

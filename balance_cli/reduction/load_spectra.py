@@ -133,10 +133,6 @@ def _densities(
     return _Densities(power, np.sqrt(variance), noise, redundancy, limit)
 
 
-def _place(run: Run) -> str:
-    return str(run.path or run.name)
-
-
 def _first_sample(run: Run, source: ResponseSource) -> int:
     """Return the first sample after the start transient, of which a record at rest gives no other evidence."""
     transient = TRANSIENT_TIME_CONSTANTS * source.slowest_decay * sample_rate(run)
@@ -149,7 +145,7 @@ def _measured_spectra(run: Run, health: ChannelHealth, first: int) -> CrossSpect
     try:
         return cross_spectra(_signals(run, health, first), 1.0 / sample_rate(run), length)
     except ValueError as error:
-        raise UserError("is too short for a spectrum", _place(run), "channels", "Record for longer") from error
+        raise UserError("is too short for a spectrum", run.file, "channels", "Record for longer") from error
 
 
 def _signals(run: Run, health: ChannelHealth, first: int) -> Iterator[tuple[int, Array]]:
@@ -165,14 +161,12 @@ def _within_band(spectra: CrossSpectra, run: Run, source: ResponseSource, band: 
     highest = min(BELOW_NYQUIST * sample_rate(run) / 2.0, highest_frequency(source))
     if band[1] > highest:
         fault = f"{band[1]:g} Hz is beyond what the record and the response hold, {highest:.5g} Hz"
-        raise UserError(fault, _place(run), "--band", "Give a lower end")
+        raise UserError(fault, run.file, "--band", "Give a lower end")
     inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1])
     if np.count_nonzero(inside) < 2:
         step = float(np.min(np.diff(spectra.frequency)))
         fault = f"holds fewer than two of its frequencies, which are {step:.3g} Hz apart"
-        raise UserError(
-            fault, _place(run), f"--band {band[0]:g} {band[1]:g}", "Give a wider band, or record for longer"
-        )
+        raise UserError(fault, run.file, f"--band {band[0]:g} {band[1]:g}", "Give a wider band, or record for longer")
     return spectra.at(inside)
 
 
@@ -188,7 +182,7 @@ def _invert(
     if not has_independent_columns(T, load_scale(geometry.hub)[columns]):
         left_out = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
         fault = f"the channels do not determine {', '.join(components)} (left out: {left_out})"
-        raise UserError(fault, _place(run), "channels", "Repair the channels, or leave the run out with --skip-bad")
+        raise UserError(fault, run.file, "channels", "Repair the channels, or leave the run out with --skip-bad")
     noise = (combination * (variance / sample_rate(run)).astype(complex)) @ _adjoint(combination)
     weighted = np.asarray(np.linalg.solve(noise, T), complex)
     G = np.asarray(np.linalg.solve(_adjoint(T) @ weighted, _adjoint(weighted)), complex)

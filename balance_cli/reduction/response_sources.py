@@ -125,7 +125,7 @@ def usable_channels(run: Run, geometry: Geometry, source: ResponseSource) -> Cha
     if not health.live:
         name, reason = next(iter(health.left_out.items()), ("", "the geometry declares none"))
         fault = f"no channel is usable ({f'{name}: ' if name else ''}{reason})"
-        raise UserError(fault, str(run.path or run.name), "channels", "Repair the channels, or leave the run out")
+        raise UserError(fault, run.file, "channels", "Repair the channels, or leave the run out")
     return health
 
 

@@ -111,7 +111,7 @@ def rotor_record(
     azimuth = rotor_azimuth(run, rotor)
     if azimuth.turns < FEWEST_REVOLUTIONS:
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, _place(run), "rotor/pulse_times", "Record more revolutions")
+        raise UserError(fault, run.file, "rotor/pulse_times", "Record more revolutions")
     confounded: tuple[ConfoundedLine, ...] = ()
     if remove_other_rotors:
         alone, _ = without_other_rotors(run, azimuth, rotor, max_harmonic, 0)
@@ -222,11 +222,11 @@ def count_cycles(run: Run, frequency: float) -> int:
     """Return the whole cycles of a tone [Hz] in a record; UserError where they are too few, or the rate is too low."""
     if frequency >= BELOW_NYQUIST * sample_rate(run) / 2.0:
         fault = f"{frequency:g} Hz is beyond half the sample rate of {sample_rate(run):g} Hz"
-        raise UserError(fault, _place(run), "--frequencies", "Give lower frequencies")
+        raise UserError(fault, run.file, "--frequencies", "Give lower frequencies")
     cycles = int((run.samples - 1) / sample_rate(run) * frequency)
     if cycles < FEWEST_REVOLUTIONS:
         fault = f"holds {cycles} cycles of {frequency:g} Hz; at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, _place(run), "--frequencies", "Record for longer, or give a higher frequency")
+        raise UserError(fault, run.file, "--frequencies", "Record for longer, or give a higher frequency")
     return cycles
 
 
@@ -237,7 +237,3 @@ def at_constant_speed(record: RotorRecord, geometry: Geometry, source: ResponseS
         return record
     even = without_speed_modulation(record.run, record.azimuth, record.spectra, geometry, source, record.health.live)
     return None if even is None else replace(record, run=even)
-
-
-def _place(run: Run) -> str:
-    return str(run.path or run.name)

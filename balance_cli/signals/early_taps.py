@@ -39,7 +39,7 @@ def prepend_rest(run: Run) -> Run:
     if size[0] > HIT_SHARE:
         fault = "the record begins within a tap of the hammer: a part of its force is missing"
         remedy = "Record with a trigger that keeps some samples before the tap"
-        raise UserError(fault, str(run.path or run.name), "loads", remedy)
+        raise UserError(fault, run.file, "loads", remedy)
     block = run.read()
     rest = _rest(block.channels, max(int(struck[0]), 1))
     if rest is None or block.loads is None:

@@ -116,7 +116,7 @@ def hammer_record(run: Run) -> HammerRecord | None:
     is_double = np.bincount(tap[hits.is_double], minlength=len(taps)) > 0
     if is_double.all():
         fault = f"every tap of the hammer bounced ({len(taps)} taps)"
-        raise UserError(fault, str(run.path or run.name), "loads", "Repeat the record with single hits")
+        raise UserError(fault, run.file, "loads", "Repeat the record with single hits")
     first, last = _longest_part(is_double)
     begin = int((taps[first] - BEFORE_TAP) * run.sample_rate) if first else 0
     end = int((taps[last] - BEFORE_TAP) * run.sample_rate) if last < len(taps) else run.samples
@@ -200,7 +200,7 @@ def hammer_loads(run: Run) -> Array | None:
     if not hits.shape[1] and np.any(loads) and not any(has_hit(column) for column in loads.T):
         fault = "it is declared as `impact`, but no load has a hit that stands out of its noise"
         remedy = "Leave the record out, or declare its `excitation`"
-        raise UserError(fault, str(run.path or run.name), "loads", remedy)
+        raise UserError(fault, run.file, "loads", remedy)
     return hits if hits.shape[1] else None
 
 

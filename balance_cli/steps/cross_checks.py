@@ -40,7 +40,7 @@ def cross_check(
     findings = findings_for_command(campaign_findings(geometry, runs, usual_noise), is_harmless)
     for finding in findings:
         if finding.is_fault:
-            raise contradiction_error(finding, {run.name: str(run.path or run.name) for run in runs})
+            raise contradiction_error(finding, {run.name: run.file for run in runs})
     return findings
 
 

@@ -63,7 +63,7 @@ def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
 
 def require_known_loads(run: Run) -> None:
     """Raise UserError for a run without known loads, with which a model could be compared."""
-    place = str(run.path or run.name)
+    place = run.file
     if run.kind not in HOLD_OUT_KINDS:
         remedy = "Hold out check runs (errors of hub loads) or sweeps (errors of responses)"
         raise UserError(f"a {run.kind} run has no known loads to compare with", place, "--hold-out", remedy)

@@ -230,7 +230,7 @@ def _with_pulses(run: Run, reference: RotorReference, stated: float | None, note
     fault = speed_fault(reference.mean_rate, stated) if stated else ""
     if fault:
         remedy = "Correct `rotor_speed`, or `pulses_per_revolution` and `level` of `rotor`"
-        raise UserError(fault, str(run.path or run.name), "rotor", remedy)
+        raise UserError(fault, run.file, "rotor", remedy)
     return replace(run, pulse_times=reference.pulse_times)
 
 

@@ -62,7 +62,7 @@ def run_modes(run: Run, point: TrendPoint, geometry: Geometry, source: ResponseS
     record = rotor_record(hold_samples(run), geometry, source, 1, rotor)
     if abs(record.azimuth.mean_rate / point.speed - 1.0) > SAME_RECORDING:
         fault = f"turns at {record.azimuth.mean_rate:.5g} Hz, the loads of `{run.name}` are at {point.speed:.5g} Hz"
-        raise UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Give the record of these loads")
+        raise UserError(fault, run.file, "rotor/pulse_times", "Give the record of these loads")
     azimuths = (record.azimuth, *record.other_rotors)
     return operational_modes(record, source.system, geometry.acquisition, azimuths)
 

@@ -44,7 +44,7 @@ def reduce_run_at_frequencies(
     for low, high in pairwise(given):
         if high - low < resolution:
             fault = f"{low:g} and {high:g} Hz are closer than the record resolves, {resolution:.3g} Hz"
-            raise UserError(fault, str(run.path or run.name), "--frequencies", "Give one of them")
+            raise UserError(fault, run.file, "--frequencies", "Give one of them")
     parts = []
     for frequency in given:
         others = [f for f in given if f != frequency]

@@ -267,7 +267,7 @@ def _steady_estimates(setup: _RunSetup, harmonic_result: RunLoads, options: Time
     except np.linalg.LinAlgError as error:
         raise UserError(
             "no filter is steady: the channels do not distinguish the assumed loads from noise",
-            str(setup.run.path or setup.run.name),
+            setup.run.file,
             "channels",
             "Reduce the run by harmonics, or record the channels with finer steps",
         ) from error

@@ -97,7 +97,7 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
         raise UserError(f"more than one zero run: {names}", "RUN...", remedy="Choose one with --zero")
     if not zeros:
         return None
-    run, place = zeros[0], str(zeros[0].path or zeros[0].name)
+    run, place = zeros[0], zeros[0].file
     if run.kind != "zero":
         raise UserError(f"is a {run.kind} run", place, "attribute `kind`", "Give a wind-off record of kind `zero`")
     health = live_channels(run, calibration.geometry)

@@ -145,7 +145,7 @@ def _live_channels_by_run(
     health = {run.name: live_channels(run, geometry) for run in sweeps}
     for run in sweeps:
         if not health[run.name].live:
-            raise UserError("no channel can be used", str(run.path or run.name), "channels", "Leave the run out")
+            raise UserError("no channel can be used", run.file, "channels", "Leave the run out")
     left_out = {name: channels.left_out for name, channels in health.items() if channels.left_out}
     return {name: channels.live for name, channels in health.items()}, left_out
 

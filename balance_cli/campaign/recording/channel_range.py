@@ -28,7 +28,7 @@ def full_range_faults(run: Run, geometry: Geometry) -> Iterator[UserError]:
         if magnitude > BEYOND_FULL_RANGE * limit:
             fault = f"reads {magnitude:.3g} V, {magnitude / limit:.3g} times what the full range of its cell gives"
             remedy = "Are the samples in mV, or is the sensitivity in the geometry of another unit?"
-            yield UserError(fault, str(run.path or run.name), f"channel {name}", remedy)
+            yield UserError(fault, run.file, f"channel {name}", remedy)
 
 
 def _largest_reading(channel: Channel, geometry: Geometry) -> float | None:

@@ -69,7 +69,7 @@ def load_point_faults(run: Run, geometry: Geometry) -> Iterator[UserError]:
         return
     known = geometry.load_points or {}
     for index, name in enumerate(points.names):
-        file, place = str(run.path or run.name), f"load_points, {name}"
+        file, place = run.file, f"load_points, {name}"
         point = known.get(name)
         if points.are_named_only and (point is None or point.direction is None):
             lacking = "is not declared" if point is None else "has no `direction`"

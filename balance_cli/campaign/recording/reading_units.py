@@ -101,7 +101,7 @@ def reading_unit_faults(contents: RunFileContents) -> Iterator[UserError]:
 
 def reading_unit_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
     """Yield the channels of a run that are not in the unit in which the geometry declares them."""
-    file = str(run.path or run.name)
+    file = run.file
     for channel in geometry.channels:
         unit = run.reading_units.get(channel.name, VOLTAGE)
         if channel.name not in run.channel_names or unit == channel.reading_unit:

@@ -162,6 +162,11 @@ class Run:
         rate = f" at {self.sample_rate:g} Hz" if self.sample_rate else ""
         return f"{self.kind.capitalize()} run {self.name} of rig {self.rig}: {channels}, {extent}{rate}"
 
+    @property
+    def file(self) -> str:
+        """The file of the run, in which messages place a fault; its name where it has none."""
+        return str(self.path or self.name)
+
     def read(self, start: int = 0, stop: int | None = None) -> SampleBlock:
         """Return samples start to stop (default: all) as one block."""
         return self.source.read(start, self.samples if stop is None else min(stop, self.samples))

@@ -175,7 +175,7 @@ def _require_match(run: Run, geometry: Geometry | None) -> None:
 
 def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
     """Yield the reasons why a run does not belong to this geometry."""
-    file = str(run.path or run.name)
+    file = run.file
     if run.rig != geometry.rig:
         fault = f"is of rig `{run.rig}`, but the geometry `{geometry.name}` is of rig `{geometry.rig}`"
         yield UserError(fault, file, "rig", "Give the geometry of that rig, or runs of this one")

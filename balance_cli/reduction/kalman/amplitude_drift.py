@@ -104,7 +104,7 @@ def fit_window_amplitudes(
     if not rows:
         raise UserError(
             "no part of the record with all channels contains a few revolutions",
-            str(clean_record.run.path or clean_record.run.name),
+            clean_record.run.file,
             "channels",
         )
     return WindowAmplitudes(np.array(rows), np.mean(variances, axis=0), turns / azimuth.mean_rate)

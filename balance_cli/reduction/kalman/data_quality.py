@@ -116,7 +116,7 @@ def _segments(left_out: Sequence[tuple[int, int, int]], count: int, samples: int
 
 def _check_gaps(run: Run, segments: Sequence[Segment]) -> None:
     assert run.sample_rate is not None
-    place, most = str(run.path or run.name), max(len(s.channels) for s in segments)
+    place, most = run.file, max(len(s.channels) for s in segments)
     if most == 0:
         raise UserError("no channel is usable", place, "channels", "Repair the channels, or leave the run out")
     for gap in segments:
@@ -131,7 +131,7 @@ def _check_common_segment(run: Run, names: Sequence[str], segments: Sequence[Seg
     """Raise UserError unless some segment has all channels: noise and load models are estimated from such segments."""
     if not any(len(s.channels) == len(names) for s in segments):
         fault = "at no time are all channels good"
-        raise UserError(fault, str(run.path or run.name), "channels", "Leave out the channels that are bad for long")
+        raise UserError(fault, run.file, "channels", "Leave out the channels that are bad for long")
 
 
 def _notes(run: Run, partly_bad: dict[str, list[tuple[int, int]]], segments: Sequence[Segment]) -> tuple[str, ...]:

@@ -89,7 +89,7 @@ def _load_precision(models: LocalModels, covariance: ComplexArray) -> ComplexArr
         run = models.spectrum.run
         fault = f"the loads {', '.join(models.spectrum.components)} are proportional to each other"
         remedy = "Leave the run out, or excite one component at a time"
-        raise UserError(fault, str(run.path or run.name), "loads", remedy) from error
+        raise UserError(fault, run.file, "loads", remedy) from error
 
 
 def coherences(response: ComplexArray, noise: ComplexArray, power: ComplexArray) -> tuple[Array, Array]:

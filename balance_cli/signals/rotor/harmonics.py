@@ -173,7 +173,7 @@ def _signal_names(run: Run) -> tuple[str, ...]:
 def _check_interval(run: Run, azimuth: Azimuth, first: int, last: int) -> None:
     if not 0 <= first < last <= azimuth.turns or last - first < FEWEST_REVOLUTIONS:
         fault = f"revolutions {first} to {last} of {azimuth.turns}: at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Record for longer")
+        raise UserError(fault, run.file, "rotor/pulse_times", "Record for longer")
 
 
 def count_regressed_harmonics(run: Run, azimuth: Azimuth, n: int, interval: tuple[float, float]) -> int:
@@ -184,7 +184,7 @@ def count_regressed_harmonics(run: Run, azimuth: Azimuth, n: int, interval: tupl
     if possible < n:
         fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate of {run.sample_rate:g} Hz"
         remedy = f"Request at most {plural(possible, 'harmonic')}" if possible else "Record at a higher rate"
-        raise UserError(fault, str(run.path or run.name), "sample_rate", remedy)
+        raise UserError(fault, run.file, "sample_rate", remedy)
     return min(possible, max(FITTED_HARMONICS, n + 4))
 
 
@@ -222,7 +222,7 @@ def read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array
     if not np.all(np.isfinite(signals)):
         bad = names[int(np.flatnonzero(~np.all(np.isfinite(signals), axis=0))[0])]
         remedy = "Leave the channel out"
-        raise UserError("samples are not finite", str(run.path or run.name), f"channel {bad}", remedy)
+        raise UserError("samples are not finite", run.file, f"channel {bad}", remedy)
     return signals
 
 

@@ -121,7 +121,7 @@ def rotor_azimuth(run: Run, rotor: int) -> Azimuth:
     place = "rotor/pulse_times" if rotor == 1 else f"rotor{rotor}/pulse_times"
     pulses = rotor_pulses(run)
     times = pulses[rotor - 1] if rotor <= len(pulses) else None
-    file = str(run.path or run.name)
+    file = run.file
     if times is None:
         remedy = "Reduce it with --frequencies or --band, or record the pulses"
         raise UserError("no 1/rev pulses", file, place, remedy)
@@ -181,7 +181,7 @@ def _require_coverage(run: Run, other: Azimuth, number: int, start: float, end: 
     if other.first - start > margin or end - other.last > margin:
         fault = f"covers {other.first:.4g} to {other.last:.4g} s of the interval from {start:.4g} to {end:.4g} s"
         remedy = "Cut the record to the part in which all rotors have pulses"
-        raise UserError(fault, str(run.path or run.name), f"rotor{number}/pulse_times", remedy)
+        raise UserError(fault, run.file, f"rotor{number}/pulse_times", remedy)
 
 
 def _highest_order(run: Run, azimuth: Azimuth) -> int:

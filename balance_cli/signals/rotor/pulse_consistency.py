@@ -55,14 +55,14 @@ def pulse_faults(run: Run, declared_speed: float | None = None) -> Iterator[User
     rate = 1.0 / float(np.median(np.diff(run.pulse_times)))
     fault = speed_fault(rate, run.rotor_speed)
     if fault:
-        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Correct the pulses or `rotor_speed`")
+        yield UserError(fault, run.file, "rotor/pulse_times", "Correct the pulses or `rotor_speed`")
         return
     contradiction = line_spacing(run)
     if contradiction is not None:
         rate, spacing = contradiction
         yield UserError(
             f"the channels have their lines at multiples of {spacing:.5g} Hz, the pulses come at {rate:.5g} Hz",
-            str(run.path or run.name),
+            run.file,
             "rotor/pulse_times",
             "Check `sample_rate`, and whether there is one pulse in each revolution",
         )
@@ -70,11 +70,11 @@ def pulse_faults(run: Run, declared_speed: float | None = None) -> Iterator[User
     fault = skipped_revolutions(run, rate, declared_speed) if declared_speed else ""
     if fault:
         remedy = "Give one pulse for each revolution, or the speed of this rotor as `rotor.speed` of the geometry"
-        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", remedy)
+        yield UserError(fault, run.file, "rotor/pulse_times", remedy)
         return
     fault = coverage_fault(run)
     if fault:
-        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Check `sample_rate`, or cut the record")
+        yield UserError(fault, run.file, "rotor/pulse_times", "Check `sample_rate`, or cut the record")
 
 
 def speed_fault(rate: float, speed: float) -> str:

@@ -1,6 +1,5 @@
 """Responses from local models: loads that cannot be told apart are refused."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,7 @@ from balance_cli.signals.local.response import _load_precision
 
 
 def test_loads_in_proportion_are_refused_with_the_run():
-    spectrum = SimpleNamespace(run=SimpleNamespace(path=Path("r.h5"), name="r"), components=("Fx", "Fy"))
+    spectrum = SimpleNamespace(run=SimpleNamespace(file="r.h5"), components=("Fx", "Fy"))
     models = SimpleNamespace(spectrum=spectrum)
     np.testing.assert_allclose(_load_precision(models, 2.0 * np.eye(2)[None]), 0.5 * np.eye(2)[None])
     with pytest.raises(UserError, match=r"r\.h5, loads: the loads Fx, Fy are proportional to each other"):
