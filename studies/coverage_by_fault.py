@@ -16,7 +16,6 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.reduction.choices import INTERPOLATIONS
 from balance_cli.reduction.flags import (
     EXTRAPOLATED,
     MODEL_CONTRADICTED,
@@ -28,6 +27,7 @@ from balance_cli.reduction.flags import (
 from balance_cli.reduction.measured_response import transfer_source
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_sources import ResponseSource, static_source
+from balance_cli.signals.response.choices import INTERPOLATIONS
 from balance_cli.simulation import Campaign, CampaignPlan, RotorPlan, draw_rig, simulate_campaign
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.library import extension

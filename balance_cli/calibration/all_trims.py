@@ -19,12 +19,12 @@ from balance_cli.calibration.outliers import Outlier, ScreenedFit
 from balance_cli.calibration.own_products import own_product_notes
 from balance_cli.calibration.random_terms import fit_random_terms
 from balance_cli.calibration.series_alarm import unpredicted_series
+from balance_cli.calibration.series_zeros import series_zero_notes
 from balance_cli.calibration.suspect_series import SuspectLoadSeries
 from balance_cli.calibration.swapped_channels import find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares, undetermined_weight_notes
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.untested_products import UntestedProducts, find_untested_products
-from balance_cli.calibration.untold_zeros import untold_zero_notes
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
@@ -214,7 +214,7 @@ def _held_out_checks(
 def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Tares | None) -> tuple[str, ...]:
     alarms = unpredicted_series(points, screened.fit)
     own_products = own_product_notes(points, screened.fit)
-    zeros = untold_zero_notes(points, screened.fit) if tares is None else ()
+    zeros = series_zero_notes(points, screened.fit) if tares is None else ()
     return (*screened.screening_notes, *alarms, *own_products, *zeros, *undetermined_weight_notes(points, tares))
 
 

@@ -56,3 +56,8 @@ def subtract_block_means(values: Array, block: Index, weight: Array | None = Non
     """Weight the rows of values (m, p) and subtract their weighted mean in each block (m,)."""
     w = np.ones(len(values)) if weight is None else weight
     return np.asarray(BlockZeros.from_blocks(block, w).subtract_means(values), float)
+
+
+def subtract_mean(readings: Array) -> Array:
+    """Return readings (r, c) of a load series less their mean: the zero of a series is its own."""
+    return np.asarray(readings - readings.mean(axis=0))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.block_zeros import subtract_mean
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.series_causes import factor_words
 from balance_cli.calibration.term_choice import LINEAR_TERMS
@@ -43,9 +44,9 @@ def _factor_by_others(points: CalibrationPoints, rows: NDArray[np.bool_]) -> flo
     """How many times the stated loads of some rows (m,) are what a linear fit of the other rows tells of them."""
     scale = _channel_scale(points)
     model = fit_calibration_model(points.exclude_rows(rows), LINEAR_TERMS).model
-    predicted = _centered(model.readings(points.loads[rows])) / scale
+    predicted = subtract_mean(model.readings(points.loads[rows])) / scale
     power = float(np.sum(predicted**2))
-    return float(np.sum(predicted * _centered(points.channels[rows]) / scale)) / power if power > 0.0 else 1.0
+    return float(np.sum(predicted * subtract_mean(points.channels[rows]) / scale)) / power if power > 0.0 else 1.0
 
 
 def decide_by_declared(points: CalibrationPoints, rivals: Sequence[LoadSeriesRows]) -> int | None:
@@ -77,8 +78,8 @@ def _declared_error(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float
     """Rms of what the declared response misses of the readings in some rows (m,), over their rms."""
     assert points.declared_response is not None
     scale = _channel_scale(points)
-    change = _centered(points.channels[rows]) / scale
-    missed = change - _centered(points.loads[rows] @ points.declared_response.T) / scale
+    change = subtract_mean(points.channels[rows]) / scale
+    missed = change - subtract_mean(points.loads[rows] @ points.declared_response.T) / scale
     return float(np.linalg.norm(missed) / max(float(np.linalg.norm(change)), np.finfo(float).tiny))
 
 
@@ -86,8 +87,3 @@ def _channel_scale(points: CalibrationPoints) -> Array:
     """Standard deviation (c,) of the readings of each channel in all rows."""
     scale = points.channels[points.weight > 0].std(axis=0)
     return np.where(scale > 0.0, scale, 1.0)
-
-
-def _centered(readings: Array) -> Array:
-    """Readings (r, c) less their mean: the zero of a series is its own."""
-    return np.asarray(readings - readings.mean(axis=0))

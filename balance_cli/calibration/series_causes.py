@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.block_zeros import subtract_mean
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.io.units import FOOT, INCH, POUND_FORCE, STANDARD_GRAVITY
@@ -45,14 +46,14 @@ def series_cause(model: CalibrationModel, points: CalibrationPoints, rows: Mask)
     In words that are stored in artefacts; None where no single one does.
     """
     loads, sigma = points.loads[rows], np.sqrt(np.diag(model.residual_covariance))
-    change = _centered(points.channels[rows]) / sigma
+    change = subtract_mean(points.channels[rows]) / sigma
 
     def left(other: Array) -> float:
-        return float(np.linalg.norm(change - _centered(model.readings(other)) / sigma))
+        return float(np.linalg.norm(change - subtract_mean(model.readings(other)) / sigma))
 
     stated = left(loads)
     explained = [(left(other), words) for other, words in _other_loads(model, loads, change * sigma, sigma)]
-    explained += _exchanged_channels(points.channel_names, change * sigma, _centered(model.readings(loads)), sigma)
+    explained += _exchanged_channels(points.channel_names, change * sigma, subtract_mean(model.readings(loads)), sigma)
     least, words = min(explained, key=lambda pair: pair[0], default=(np.inf, ""))
     return words if least <= MAX_LEFT_SHARE * stated else None
 
@@ -68,15 +69,10 @@ def _exchanged_channels(names: Sequence[str], change: Array, predicted: Array, s
     return causes
 
 
-def _centered(readings: Array) -> Array:
-    """Readings (r, c) less their mean: the zero of a series is its own."""
-    return np.asarray(readings - readings.mean(axis=0))
-
-
 def _other_loads(model: CalibrationModel, loads: Array, change: Array, sigma: Array) -> Iterator[tuple[Array, str]]:
     """Loads (r, k) that the series could have had, and the mistake in words."""
     yield loads[::-1], "its loads seem to stand in reverse order"
-    predicted = _centered(model.readings(loads)) / sigma
+    predicted = subtract_mean(model.readings(loads)) / sigma
     power = float(np.sum(predicted**2))
     if power > 0:
         factor = float(np.sum(predicted * change / sigma)) / power

@@ -25,7 +25,7 @@ from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
 from balance_cli.calibration.term_support import MIN_APPLIED_LOAD
 from balance_cli.calibration.terms import Term, linear_terms, term_values
-from balance_cli.calibration.untold_terms import (
+from balance_cli.calibration.unidentifiable_terms import (
     FOUND_FROM,
     AliasedTerms,
     CubicProducts,

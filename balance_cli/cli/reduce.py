@@ -18,14 +18,8 @@ from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, r
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.cli.reduce_spectra import check_band_options, reduce_to_spectra
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.choices import (
-    FREQUENCIES,
-    INTERPOLATIONS,
-    LOAD_MODELS,
-    MEAN_LOAD_METHODS,
-    METHODS,
-    MOST_HARMONICS,
-)
+from balance_cli.reduction.choices import FREQUENCIES, LOAD_MODELS, MEAN_LOAD_METHODS, METHODS, MOST_HARMONICS
+from balance_cli.signals.response.choices import INTERPOLATIONS
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run

@@ -142,7 +142,7 @@ def _check_names(output: Path, picture: Path | None, pdf: Path | None) -> None:
 
 def _write_picture(session: Session, picture: Path, html_page: Page, report_sources: Sources) -> None:
     """Write the figure of the page that has the name of the file; as .png or .pdf the comparison of the methods."""
-    from balance_cli.report.single_picture import picture_svg
+    from balance_cli.report.static_plot import picture_svg
 
     names = f"Figures of this page: {', '.join(sorted(html_page.pictures))}"
     if picture.suffix.lower() == ".svg":

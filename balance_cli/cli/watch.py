@@ -104,7 +104,8 @@ def _start(session: Session, folder: Path, given: tuple[Any, ...], output: Path,
     from balance_cli.cli.watching.folder import WatchedFolder
     from balance_cli.cli.watching.quick_look import QuickLook
     from balance_cli.cli.watching.watch import Watch
-    from balance_cli.reduction.choices import HARMONIC, INTERPOLATIONS
+    from balance_cli.reduction.choices import HARMONIC
+    from balance_cli.signals.response.choices import INTERPOLATIONS
 
     calibration, model, transfer, zero, harmonics = given
     geometry, source, usual_noise = read_response(session, calibration, model, transfer, INTERPOLATIONS[0])

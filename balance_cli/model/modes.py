@@ -39,7 +39,7 @@ def modes(system: System, spin: float = 0.0) -> Modes:
     Derivatives are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector. The
     frequency-dependent stiffness of springs is included to first order by the same formula.
     """
-    M, D, K = _pencil_matrices(system, spin)
+    M, D, K = pencil_matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
     norm = np.einsum("mi,mij,mj->m", left, 2 * s[:, None, None] * M + D, right)
     ds = -_pencil_derivative_products(system, spin, s, left, right) / norm[:, None]
@@ -71,7 +71,8 @@ def frequency_stiffness_shift(
     return shift, derivatives
 
 
-def _pencil_matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
+def pencil_matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
+    """Mass, damping with the gyroscopic part, and complex stiffness at a rotor speed `spin` [Hz]."""
     pencil = system.pencil
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
     return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
@@ -82,7 +83,7 @@ def overdamped_decay_rates(system: System, spin: float = 0.0) -> Array:
 
     Structural damping, which a motion without oscillation hardly feels, is left out.
     """
-    M, D, K = _pencil_matrices(system, spin)
+    M, D, K = pencil_matrices(system, spin)
     values = _finite_eigenvalues(M, D, K.real)[0]
     creeping = np.abs(values.imag) <= OSCILLATION_SHARE * np.abs(values).max(initial=0.0)
     return np.asarray(-values.real[creeping & (values.real < 0.0)])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from balance_cli.model.channel_gains import channel_dynamics, log_gain_derivative
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.model.modes import eigenvalues, frequency_stiffness_shift
+from balance_cli.model.modes import eigenvalues, frequency_stiffness_shift, pencil_matrices
 from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def transient_modes(
 def _structural_transients(
     system: System, spin: float, highest_frequency: float, fastest_decay: float, with_derivatives: bool
 ) -> TransientModes:
-    M, D, K = _pencil_matrices(system, spin)
+    M, D, K = pencil_matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
     is_relevant = (
         (s.imag < 2 * np.pi * highest_frequency) & (-s.real < fastest_decay) & _observable_modes(system, right)
@@ -123,12 +123,6 @@ def _join(first: TransientModes, second: TransientModes) -> TransientModes:
     volts_derivative = np.concatenate([first.volts_derivative, second.volts_derivative], axis=2)
     volts = np.concatenate([first.volts, second.volts], axis=1)
     return TransientModes(s, volts, s_derivative, volts_derivative, first.oscillating)
-
-
-def _pencil_matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
-    pencil = system.pencil
-    damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
-    return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
 
 
 def divided_differences(values: ComplexArray, derivative_values: ComplexArray, s: ComplexArray) -> ComplexArray:

@@ -1,4 +1,4 @@
-"""Names that the user of a reduction chooses from: methods, load models, interpolations. Imports nothing heavy."""
+"""Names that the user of a reduction chooses from: methods, load models. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -19,10 +19,6 @@ LOAD_MODEL_TEXTS = {
     RANDOM: "random loads",
     FREE: "any loads within the band",
 }
-
-Interpolation = Literal["local", "spline", "first-order", "nearest"]
-INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
-"""How a measured response is interpolated; the first is the default (`signals.response.interpolation` has them)."""
 
 ITERATIVE, NON_ITERATIVE = "iterative", "non-iterative"
 MEAN_LOAD_METHODS = (ITERATIVE, NON_ITERATIVE)

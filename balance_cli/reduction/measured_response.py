@@ -32,7 +32,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class TransferSource(ResponseWithoutModel):
-    """Measured responses, one per component, interpolated by one of `choices.INTERPOLATIONS`.
+    """Measured responses, one per component, interpolated by one of `signals.response.choices.INTERPOLATIONS`.
 
     All have the channels `channel_names`. `channels_left_out` {channel: reason} are those that some of them lack.
     """

@@ -1,4 +1,4 @@
-"""The rig with the shapes of its modes, animated, and the modal assurance of two models' shapes."""
+"""Section of the shapes of the modes: the rig in motion, and how well the shapes of two models agree."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.kinematics import motion_at
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
-from balance_cli.report.blocks import Picture, Row, Table, TableCell
-from balance_cli.report.frequencies import has_shapes, modal_assurance
+from balance_cli.report.blocks import PageBlock, Picture, Row, Section, Table, TableCell
+from balance_cli.report.campbell import campbell_blocks
+from balance_cli.report.frequencies import has_shapes, modal_assurance, reference_model
+from balance_cli.report.load_figures import wind_runs
 from balance_cli.report.number_format import format_fixed
-from balance_cli.report.rig_drawing import PROJECTION, RigDrawing, draw_rig
-from balance_cli.report.sources import Source
+from balance_cli.report.rig_drawing import PROJECTION, RigDrawing, draw_rig, rig_picture
+from balance_cli.report.source_roles import SourceRole
+from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -28,6 +31,8 @@ LARGEST_MOTION = 0.18
 """Largest displacement in the picture, as a share of the rig's extent."""
 SMALLEST_MOTION = 1e-6
 """Displacement [m], for a largest coordinate of 1, below which the plate is at rest: in the mode of the shaft."""
+MOST_SPEEDS = 40
+"""Speeds of runs that are drawn in the Campbell diagram."""
 HIGH_ASSURANCE = 0.9
 """Modal assurance from which two shapes count as one mode (Ewins, Modal Testing, 2000)."""
 
@@ -130,3 +135,25 @@ def assurance_table(rows: Source[IdentifiedModel], columns: Source[IdentifiedMod
         f"the cells and the hub. Shaded: above {HIGH_ASSURANCE:g}."
     )
     return Table(caption, (head,), tuple(body))
+
+
+def section(sources: Sources) -> Section | None:
+    """Return the shapes of the best model, and their assurance with those computed; None without shapes."""
+    best = reference_model(sources.models) or next(iter(sources.models), None)
+    picture = shape_picture(best) if best is not None else None
+    if best is None or picture is None:
+        return None
+    blocks: list[PageBlock] = [rig_picture(best.content.geometry), picture]
+    computed = next((source for source in sources.models if source.role is SourceRole.COMPUTED), None)
+    table = assurance_table(computed, best) if computed is not None and computed is not best else None
+    if table is not None:
+        blocks.append(table)
+    blocks += campbell_blocks(best, _speeds(sources))
+    return Section("shapes", "Mode shapes and rotor speed", tuple(blocks))
+
+
+def _speeds(sources: Sources) -> tuple[float, ...]:
+    """The mean speeds [Hz] of the wind-on runs, each once."""
+    runs = [run for source in sources.loads for run in wind_runs(source.content).values()]
+    by_harmonics = [run for run in runs if run.in_time is None and len(run.frequency_hz) > 1]
+    return tuple(sorted({round(float(run.frequency_hz[1]), 2) for run in by_harmonics}))[:MOST_SPEEDS]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.report.axis_ticks import Scale, make_scale, tick_text
+from balance_cli.report.blocks import Chart, Picture
 from balance_cli.report.plots import Plot, Trace, envelope
 
 Array = NDArray[np.float64]
@@ -138,3 +139,10 @@ def _legend(traces: Sequence[Trace], width: float, height: float) -> Iterator[st
         yield f'<path stroke="{trace.color}" stroke-width="2" d="M{place:g} {y - 3:g}h12"/>'
         yield f'<text x="{place + 15:.1f}" y="{y:g}" font-size="9">{escape(trace.label)}</text>'
         place += needed
+
+
+def picture_svg(block: Picture | Chart) -> str:
+    """Return a picture of the page as an SVG document; of a chart, its static picture."""
+    if isinstance(block, Picture):
+        return block.markup + "\n"
+    return block.static_markup + "\n" if block.static_markup else plots_svg(block.groups[0].plots)

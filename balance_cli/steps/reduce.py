@@ -12,6 +12,7 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
 from balance_cli.reduction.gain_error import add_gain_error
@@ -20,7 +21,7 @@ from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
 from balance_cli.reduction.reliability import UnnoticedErrors, unnoticed_errors
-from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.response_sources import ResponseSource, StaticSource
 from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
@@ -28,7 +29,6 @@ from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import Harmonics
-from balance_cli.steps.dynamic_error import add_dynamic_error
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -86,7 +86,7 @@ def reduce_record(
     mean_solution = add_gain_error(mean_solution, source)
     response = harmonic_response(record, geometry, source)
     solved = harmonic_loads(record, geometry, source, response)
-    harmonic_solution = add_dynamic_error(solved, record, geometry, source)
+    harmonic_solution = _add_dynamic_error(solved, record, geometry, source)
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     errors_known = calibration is None or calibration.errors_known
@@ -214,3 +214,28 @@ def _combine_loads(
 def _conditions(run: Run) -> RunConditions:
     """Return under which conditions a run was made, as its file states them."""
     return RunConditions(run.rotor_speed, run.recorded, run.note, dict(run.conditions))
+
+
+def _add_dynamic_error(
+    solution: SolvedLoads, record: RotorRecord, geometry: Geometry, source: ResponseSource
+) -> SolvedLoads:
+    """Return the loads by a static matrix with the error of leaving out the dynamics; other loads as they are.
+
+    The error is estimated by the loads that the rig as declared gives for the same record: its standard deviation is
+    their difference, and that of the declared rig by its tolerances. A rig without declared mechanics has no estimate.
+    """
+    if not isinstance(source, StaticSource):
+        return solution
+    # Identification takes half a second to import, which other responses do without.
+    from balance_cli.estimation.measured_spectra import Spectra
+    from balance_cli.reduction.model_sources import model_source
+    from balance_cli.steps.identify import IdentifyOptions, identify
+
+    try:
+        declared = identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed"))
+        reference = harmonic_loads(record, geometry, model_source(declared))
+    except (UserError, np.linalg.LinAlgError):
+        return solution
+    square = np.tile(np.abs(solution.loads - reference.loads) ** 2, 2)
+    error = square[:, :, None] * np.eye(square.shape[1]) + reference.covariance
+    return replace(solution, model_covariance=solution.model_covariance + error)

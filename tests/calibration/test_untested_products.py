@@ -8,8 +8,8 @@ import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.unidentifiable_terms import _shared_variance
 from balance_cli.calibration.untested_products import find_untested_products
-from balance_cli.calibration.untold_terms import _shared_variance
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads

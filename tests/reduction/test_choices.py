@@ -3,12 +3,10 @@
 import subprocess
 import sys
 
-from balance_cli.reduction.choices import INTERPOLATIONS, LOAD_MODEL_TEXTS, LOAD_MODELS
-from balance_cli.signals.response.interpolation import INTERPOLATION_METHODS
+from balance_cli.reduction.choices import LOAD_MODEL_TEXTS, LOAD_MODELS
 
 
 def test_choices_are_those_of_the_code_behind_them():
-    assert INTERPOLATIONS == INTERPOLATION_METHODS
     assert tuple(LOAD_MODEL_TEXTS) == LOAD_MODELS
 
 

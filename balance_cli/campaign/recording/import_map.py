@@ -7,7 +7,15 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE
-from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Number, Positive, Vector
+from balance_cli.campaign.rig.declared_values import (
+    FrozenModel,
+    Name,
+    NonNegative,
+    Number,
+    Positive,
+    Vector,
+    name_as_mapping,
+)
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Sign = Annotated[Literal[1, -1], Field()]
@@ -18,11 +26,6 @@ Rate = Annotated[Positive, Field(le=LARGEST_MAGNITUDE)]
 
 def _as_list(value: object) -> object:
     return [value] if isinstance(value, str | int | float) else value
-
-
-def _name_as_mapping(value: object) -> object:
-    """`FILE CHANNEL: OURS` is short for `FILE CHANNEL: {name: OURS}`."""
-    return {"name": value} if isinstance(value, str) else value
 
 
 def _component_as_mapping(value: object) -> object:
@@ -174,14 +177,12 @@ class ImportMap(FrozenModel):
     time_unit: Literal["s", "ms", "us", "min", "h"] | None = None
     sample_rate: Rate | None = None
     resample: Rate | None = None
-    channels: dict[str, Annotated[MappedChannel, BeforeValidator(_name_as_mapping)]]
+    channels: dict[str, Annotated[MappedChannel, BeforeValidator(name_as_mapping)]]
     loads: dict[str, Annotated[MappedLoad, BeforeValidator(_component_as_mapping)]] = Field(default_factory=dict)
     series: Name | None = None
     point_kind: Annotated[MappedPointKind, BeforeValidator(_channel_as_mapping)] | None = None
     attitude: dict[str, MappedAngle] = Field(default_factory=dict)
-    temperature: dict[str, Annotated[MappedTemperature, BeforeValidator(_name_as_mapping)]] = Field(
-        default_factory=dict
-    )
+    temperature: dict[str, Annotated[MappedTemperature, BeforeValidator(name_as_mapping)]] = Field(default_factory=dict)
     load_points: tuple[MappedLoadPoint, ...] = ()
     rotor: MappedRotor | None = None
     rotor2: MappedRotor | None = None

@@ -41,3 +41,8 @@ class FrozenModel(BaseModel):
     """Base of all parts: frozen, unknown keys refused, no infinities."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def name_as_mapping(value: object) -> object:
+    """What is given by its name alone, in the form of what is given in full: `{name: NAME}`."""
+    return {"name": value} if isinstance(value, str) else value

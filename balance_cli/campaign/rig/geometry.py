@@ -26,8 +26,9 @@ from balance_cli.campaign.rig.declared_values import (
     Number,
     Positive,
     Vector,
+    name_as_mapping,
 )
-from balance_cli.campaign.rig.load_component import LoadComponent, name_component
+from balance_cli.campaign.rig.load_component import LoadComponent
 from balance_cli.campaign.rig.torque_meter import TorqueMeter
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
@@ -184,7 +185,7 @@ class Geometry(FrozenModel):
     freedom: Annotated[tuple[Literal["x", "y", "z", "psi", "theta", "phi"], ...], Field(min_length=1)] = FREEDOMS  # type: ignore[assignment]
     effects: tuple[DeclaredEffect, ...] = ()
     components: (
-        Annotated[tuple[Annotated[LoadComponent, BeforeValidator(name_component)], ...], Field(min_length=1)] | None
+        Annotated[tuple[Annotated[LoadComponent, BeforeValidator(name_as_mapping)], ...], Field(min_length=1)] | None
     ) = None
     rated_loads: dict[Name, Positive] | None = None
     load_points: dict[Name, DeclaredLoadPoint] | None = None

@@ -38,8 +38,3 @@ class LoadComponent(FrozenModel):
         if float(np.linalg.norm(axis)) == 0.0:
             raise ValueError("`direction` or `moment` has no length")
         return self
-
-
-def name_component(value: object) -> object:
-    """A component that is given by its name alone, in the form of the others."""
-    return {"name": value} if isinstance(value, str) else value

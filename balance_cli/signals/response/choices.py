@@ -1,4 +1,4 @@
-"""Names of the estimators of frequency responses. Imports nothing, so that the command line can offer them."""
+"""Names of the estimators and interpolations of frequency responses. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -10,3 +10,6 @@ AVERAGED_ESTIMATORS = ("h1", "h2", "hv")
 Estimator = Literal["auto", "periodic", "lrm", "lpm", "h1", "h2", "hv"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 """All estimators; the first is the default."""
+Interpolation = Literal["local", "spline", "first-order", "nearest"]
+INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
+"""How a measured response is interpolated; the first is the default."""

@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-INTERPOLATION_METHODS = ("local", "spline", "first-order", "nearest")
 SPLINE_LINES = 12
 """Lines of a spline: the weight of a line falls by 2 - sqrt(3) from one to the next, to 4e-4 after six."""
 
@@ -61,7 +60,7 @@ def interpolate_response(
     method: str = "local",
     left_out: Index | None = None,
 ) -> InterpolatedResponse:
-    """Interpolate the response at `frequency` [Hz], a number or (h,), by one of INTERPOLATION_METHODS.
+    """Interpolate the response at `frequency` [Hz], a number or (h,), by one of INTERPOLATIONS.
 
     `left_out` (h,) is the index of a line that is not used at each frequency. Raises UserError outside the measured
     lines.

@@ -5,7 +5,8 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.response import window_models
-from balance_cli.signals.response.interpolation import INTERPOLATION_METHODS, interpolate_response, interpolate_values
+from balance_cli.signals.response.choices import INTERPOLATIONS
+from balance_cli.signals.response.interpolation import interpolate_response, interpolate_values
 from balance_cli.signals.response.interpolation_error import interpolate_with_error
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from tests.support.swept_rig import LOAD_NOISE, MODES, NOISE, SweptRig, relative_error
@@ -54,7 +55,7 @@ def test_local_is_the_best_by_far():
         assert np.percentile(errors(method)[1], 95) > 0.1
 
 
-@pytest.mark.parametrize("method", INTERPOLATION_METHODS)
+@pytest.mark.parametrize("method", INTERPOLATIONS)
 def test_values_alone_are_as_good(method):
     """They come from the same local models."""
     response = measured()
@@ -89,7 +90,7 @@ def test_derivative(method):
     assert np.abs(at.derivative - slope).max() < 0.03 * np.abs(slope).max()
 
 
-@pytest.mark.parametrize("method", INTERPOLATION_METHODS)
+@pytest.mark.parametrize("method", INTERPOLATIONS)
 def test_at_a_line_and_shapes(method):
     response = measured(noise=0.0)
     interpolated = interpolate_response(response, 50.25, method)
@@ -112,7 +113,7 @@ def test_nearest_keeps_the_lines_own_covariance():
 
 def test_few_lines_will_do():
     response = measured(noise=0.0, lines=np.array([10.0, 10.5, 11.0]))
-    for method in INTERPOLATION_METHODS:
+    for method in INTERPOLATIONS:
         value = interpolate_response(response, 10.6, method).value
         assert value == pytest.approx(RIG.response(np.array([10.6]))[0], rel=0.02)
 

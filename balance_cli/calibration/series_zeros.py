@@ -25,18 +25,18 @@ MAX_NOTES = 3
 """Load series that are named one by one; where more have a zero of their own, the rest is counted."""
 
 
-def untold_zero_notes(points: CalibrationPoints, fit: CalibrationModelFit) -> Iterator[str]:
+def series_zero_notes(points: CalibrationPoints, fit: CalibrationModelFit) -> Iterator[str]:
     """Notes on the load series without an unloaded row whose zero is significantly off the unloaded rows beside it."""
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
     unloaded = np.flatnonzero(used & np.all(np.abs(points.x) <= MIN_LOAD_CHANGE, axis=1))
     series = np.searchsorted(np.unique(points.load_series[used]), points.load_series)
-    untold = [s for s in range(len(fit.model.zeros)) if s not in series[unloaded]]
+    without_unloaded = [s for s in range(len(fit.model.zeros)) if s not in series[unloaded]]
     notes = []
-    for s in untold:
+    for s in without_unloaded:
         rows = np.flatnonzero(used & (series == s))
         beside = _rows_beside(points, rows, unloaded)
         distances = [_distance(points, fit, s, int(row)) for row in beside]
-        if distances and all(p * len(untold) < ZERO_P_VALUE for _, p in distances):
+        if distances and all(p * len(without_unloaded) < ZERO_P_VALUE for _, p in distances):
             at = int(np.argmin([np.max(np.abs(loads / points.calibrated_range)) for loads, _ in distances]))
             notes.append(_note(points, fit.model.load_series[s], int(beside[at]), distances[at][0]))
     yield from notes[:MAX_NOTES]
