@@ -131,7 +131,7 @@ class RunLoads(ResultView):
         """What computed harmonic 0, in words; empty where that is not known."""
         if not self.mean_method:
             return f"trim \u201c{self.trim}\u201d" if self.trim else ""
-        return f"{self.mean_method} {self.trim}" if self.mean_method == MATRIX else self.mean_method
+        return f"{self.mean_method} \u201c{self.trim}\u201d" if self.mean_method == MATRIX else self.mean_method
 
     @property
     def unnoticed_note(self) -> str:
