@@ -74,9 +74,12 @@ def command(
 
     End it with Ctrl-C, --once or --idle. The same call then resumes where it stopped.
     """
-    from balance_cli.cli.pipeline.folder import locked_folder
+    from balance_cli.cli.pipeline.folder import LOGS, locked_folder, require_absent
+    from balance_cli.cli.watching.watch import RESULT_NAMES
 
     _check_options(folder, model, transfer, output)
+    if not (output / LOGS).is_dir():  # which is there from the start of the first call
+        require_absent([output / name for name in RESULT_NAMES], "watch")
     if zero is not None and calibration is None:
         raise UserError("needs a static calibration", "--zero", remedy="Add --calibration CAL, or leave it out")
     cal = read_calibration(session, calibration)

@@ -76,6 +76,16 @@ def test_runs_are_reduced_as_reduce_does_it(made, watch, tmp_path):
     assert "wind" in page
 
 
+def test_a_file_of_the_user_is_not_replaced(made, watch, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "loads.h5").write_text("mine")
+    call("watch", tmp_path / "in", "--model", made / "model.h5", "-o", tmp_path / "out", "--once", status=2)
+    assert [(path.name, path.read_text()) for path in (tmp_path / "out").iterdir()] == [("loads.h5", "mine")]
+    (tmp_path / "out" / "loads.h5").unlink()
+    shutil.copy(made / "runs" / "wind.h5", tmp_path / "in")
+    assert watch()["files"] == watch()["files"] == {"wind.h5": "reduced"}
+
+
 def test_bad_files_are_passed_over_and_named(made, watch, tmp_path):
     shutil.copy(made / "runs" / "wind.h5", tmp_path / "in")
     (tmp_path / "in" / "cut.h5").write_bytes((made / "runs" / "check.h5").read_bytes()[:3000])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -24,16 +24,21 @@ def log_path(folder: Path, step: str) -> Path:
     return folder / LOGS / f"{step}.txt"
 
 
+def require_absent(paths: Iterable[Path], command: str) -> None:
+    """Raise UserError where one of these files is there: this command would replace it without having written it."""
+    for path in paths:
+        if path.exists():
+            fault = f"is there, and no earlier `balance {command}` has written it: it would be replaced"
+            raise UserError(fault, str(path), remedy="Move it away, or give another folder for the results")
+
+
 def require_own_results(folder: Path, plan: Plan, state: State) -> None:
     """Raise UserError where a file that the chain would write is there, but no earlier call has written it."""
     targets = [] if state.steps or (folder / LOGS).is_dir() else [folder / INPUT_LIST, folder / STATE_NAME]
     for step in plan.steps:
         if step.name not in state.steps and not log_path(folder, step.name).exists():
             targets += [*step.writes, *(path for inner in step.writes_in for path in inner.glob("*.h5"))]
-    for path in targets:
-        if path.exists():
-            fault = "is there, and no earlier `balance run` has written it: it would be replaced"
-            raise UserError(fault, str(path), remedy="Move it away, or give another folder for the results")
+    require_absent(targets, "run")
 
 
 @contextmanager

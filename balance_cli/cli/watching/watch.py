@@ -24,6 +24,7 @@ from balance_cli.reduction.result import HubLoads
 from balance_cli.reduction.run_verdict import run_verdict
 
 LOADS_NAME, JOURNAL_NAME, PAGE_NAME = "loads.h5", "journal.jsonl", "page.html"
+RESULT_NAMES = (LOADS_NAME, JOURNAL_NAME, PAGE_NAME)
 WRITING_INTERVAL = 2.0
 """[s] between two pages while many files wait: a page takes longer than the reduction of a run."""
 PATIENCE = 10.0
