@@ -33,12 +33,14 @@ SIGNIFICANT = 5.0
 class CheckContradiction:
     """What the known loads of a check run contradict: `components` as a whole, with their relative errors.
 
-    And `interactions`, loads that were not applied, relative to the largest force that was.
+    And `interactions`, loads that were not applied, relative to the largest force that was; `wrong_channels`, what is
+    wrong with one or two channels, where that explains the errors.
     """
 
     run: str
     components: dict[str, float]
     interactions: dict[str, float] = field(default_factory=dict)
+    wrong_channels: str | None = None
 
     @property
     def sentence(self) -> str:
@@ -47,7 +49,8 @@ class CheckContradiction:
         none_applied = "of the largest applied force, where none was applied"
         parts += [f"{name} by {100.0 * size:.3g} % {none_applied}" for name, size in self.interactions.items()]
         errors = ", ".join(parts)
-        return f"reduced loads differ from the known loads of {self.run}, {errors}: the response lacks something there"
+        cause = self.wrong_channels or "the response lacks something there"
+        return f"reduced loads differ from the known loads of {self.run}, {errors}: {cause}"
 
 
 def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[CheckContradiction, ...]]:
@@ -55,7 +58,8 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
 
     In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
     deviations. Where a component as a whole differs by more than a tenth, or one that was not applied has a fifth of
-    the largest force, all its harmonics in all runs are flagged; where half of the components do, those of all.
+    the largest force, all its harmonics in all runs are flagged; where half of the components do, those of all. Where
+    one or two channels explain it, all loads are flagged: the mean loads rest on them, too.
     """
     contradictory, with_wrong_rows = list[CheckContradiction](), False
     for name, loads in runs.items():
@@ -64,7 +68,7 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
         with_wrong_rows |= bool(_contradicted_rows(loads).any())
         components, interactions = contradicted_components(loads), contradicted_interactions(loads)
         if components or interactions:
-            contradictory.append(CheckContradiction(name, components, interactions))
+            contradictory.append(CheckContradiction(name, components, interactions, loads.check.wrong_channels))
     contradictions = tuple(contradictory)
     return (_FlaggedRuns(runs, contradictions) if contradictory or with_wrong_rows else runs), contradictions
 
@@ -75,6 +79,7 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
     def __init__(self, runs: Mapping[str, RunLoads], contradictions: Sequence[CheckContradiction]) -> None:
         self._runs = runs
         self._components = {name for item in contradictions for name in (*item.components, *item.interactions)}
+        self._has_wrong_channels = any(item.wrong_channels for item in contradictions)
         self._sentences = tuple(item.sentence for item in contradictions)
 
     def __getitem__(self, name: str) -> RunLoads:
@@ -83,6 +88,7 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
         wrong = np.array([component in self._components for component in loads.components])
         # With so many wrong it is the channels, and only the symmetry of a rig or of its loads keeps the others right.
         rows[1:] |= wrong if 2 * np.count_nonzero(wrong) < len(wrong) else True
+        rows |= self._has_wrong_channels  # which are those of the mean loads, too
         return replace(_flag_rows(loads, rows), notes=(*loads.notes, *self._sentences)) if rows.any() else loads
 
     def __iter__(self) -> Iterator[str]:

@@ -17,6 +17,7 @@ from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
 from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
+from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
@@ -104,7 +105,7 @@ def reduce_record(
         loads = _flag_implausible(loads, static)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
-    return _with_check_errors(loads, record, harmonic_solution, geometry)
+    return _with_check_errors(loads, record, harmonic_solution, geometry, source, response)
 
 
 def _unnoticed_errors(
@@ -118,10 +119,18 @@ def _unnoticed_errors(
     return unnoticed_errors(solved.equations, [sources[name] for name in live], solved.degrees, solved.limit)
 
 
-def _with_check_errors(loads: RunLoads, record: RotorRecord, solution: SolvedLoads, geometry: Geometry) -> RunLoads:
+def _with_check_errors(
+    loads: RunLoads,
+    record: RotorRecord,
+    solution: SolvedLoads,
+    geometry: Geometry,
+    source: ResponseSource,
+    response: ComplexArray,
+) -> RunLoads:
     """Return the loads of a check run with their errors, flagged where these are those of another unit or sign."""
     check = check_errors(record.spectra, solution, loads.components, geometry)
-    return flag_scale_contradiction(replace(loads, check=check))
+    wrong = describe_wrong_channels(record, geometry, source, response, check.applied)
+    return flag_scale_contradiction(replace(loads, check=replace(check, wrong_channels=wrong)))
 
 
 def flag_scale_contradiction(loads: RunLoads) -> RunLoads:

@@ -95,8 +95,11 @@ def _channel_factor(
             text += f", or the axis of cell {cells[0]} in the geometry"
         return _finding(mistake, kinds.REVERSED_CELL, FAULT, text, channels=names, cells=cells, factor=factor)
     verb = "read" if len(names) > 1 else "reads"
-    text = f"{' and '.join(names)} {verb} {factor:.4g} times what the loads make{_hint(factor, VOLT_UNITS)}"
-    return _finding(mistake, kinds.CHANNEL_FACTOR, severity, text, channels=names, factor=factor)
+    if factor < 0:
+        verb = f"{'are' if len(names) > 1 else 'is'} reversed, and {verb}"
+    text = f"{' and '.join(names)} {verb} {abs(factor):.4g} times what the loads make{_hint(abs(factor), VOLT_UNITS)}"
+    kind = kinds.CHANNEL_FACTOR if factor > 0 else kinds.REVERSED_CHANNEL
+    return _finding(mistake, kind, severity, text, channels=names, factor=factor)
 
 
 def _is_whole_cell(hypothesis: Hypothesis, geometry: Geometry) -> bool:

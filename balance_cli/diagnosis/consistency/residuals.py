@@ -18,6 +18,10 @@ CHANNEL_ERROR = 0.01
 CHECK_ERROR = 0.3
 """Relative error of a response from sweeps at the lines of a check run: bands are as wide as half of a mode, few lines
 near a mode decide, and the rotor turns. Signs, units and exchanges are seen nevertheless."""
+LEAST_CHECK_ERROR = 0.1
+"""The same where the run itself shows that most of its channels are as the sweeps predict."""
+CHANNELS_ALIKE = 3.0
+"""Error that is usual for any channel of a check run over that of its median channel."""
 SIGNIFICANT = 9.0
 """Sum of squares of a column of residuals from which it contradicts: three times the usual error."""
 REMAINING_SHARE = 0.05
@@ -65,15 +69,27 @@ class Weights:
 
 def residual_weights(run: Evidence) -> Weights:
     """Return what the residuals of a run are divided by, from what is predicted for its recorded loads."""
-    _, by_runs = run.predicted
+    by_runs = np.where(np.isfinite(run.forces), run.predicted[1], np.nan)
+    size = _size(by_runs)
     energy = np.nansum(np.abs(run.forces) ** 2, axis=0)
     # Where the forces of summed cells cancel, the errors of their stiffness do not.
     return Weights(
         run.geometry_error * _size(run.predicted_parts[:, _has_channels(run.forces)]),
-        (CHANNEL_ERROR if run.rows.kind == "sweep" else CHECK_ERROR)
-        * _size(np.where(np.isfinite(run.forces), by_runs, np.nan)),
+        size * (CHANNEL_ERROR if run.rows.kind == "sweep" else _check_error(run.forces - by_runs, size)),
         CHANNEL_ERROR * np.sqrt(_pair_energies(energy, run.pairs)),
     )
+
+
+def _check_error(difference: ComplexArray, size: float) -> float:
+    """Return the relative error of the responses of a check run, by its median channel, from (k, c) differences.
+
+    Two exchanged channels among six, or a reversed one, leave the others as they are.
+    """
+    known = ~np.isnan(difference).all(axis=0)
+    if not known.any():
+        return CHECK_ERROR
+    median = float(np.sqrt(np.median(np.nansum(np.abs(difference[:, known]) ** 2, axis=0)))) / size
+    return float(np.clip(CHANNELS_ALIKE * median, LEAST_CHECK_ERROR, CHECK_ERROR))
 
 
 def _has_channels(forces: ComplexArray) -> Bools:
