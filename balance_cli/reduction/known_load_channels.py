@@ -1,7 +1,7 @@
 """What is wrong with the channels of a check run, by its known loads: a sign, a factor, two that are exchanged.
 
-Reduced loads that differ from the known ones tell only that something is wrong. Where one channel or two explain it, and
-all others read what the response makes of the known loads, it is not the response.
+Reduced loads that differ from the known ones tell only that something is wrong. Where one channel or two explain it,
+and all others read what the response makes of the known loads, it is not the response.
 """
 
 from __future__ import annotations

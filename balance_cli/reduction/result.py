@@ -46,8 +46,8 @@ class CheckErrors:
 
     load_error {component applied: relative error}, interaction {component not applied: relative to the largest applied
     force}; load_noise and interaction_noise: the noise floor of each, from the noise of the record. `applied` (n+1, m)
-    are the loads as the exciter measured them, without the anti-alias filter. `wrong_channels`: what is wrong with one or
-    two channels, in words, where that explains the errors.
+    are the loads as the exciter measured them, without the anti-alias filter. `wrong_channels`: what is wrong with one
+    or two channels, in words, where that explains the errors.
     """
 
     load_error: dict[str, float]
