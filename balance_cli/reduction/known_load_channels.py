@@ -63,17 +63,17 @@ def _explanations(
 ) -> Iterator[str]:
     """Yield in words what explains the differences of channels (n, c), each divided by its own size (c,)."""
     usual = float(np.sqrt(np.mean(np.abs(predicted) ** 2)))
-    wrong = np.sqrt(np.mean(np.abs(measured - predicted) ** 2, axis=0)) > CHANNEL_MISFIT * usual
-    suspects = [int(i) for i in np.flatnonzero(wrong)]
-    if not 1 <= len(suspects) <= 2 or len(names) - len(suspects) < FEWEST_CHANNELS:
+    deviates = np.sqrt(np.mean(np.abs(measured - predicted) ** 2, axis=0)) > CHANNEL_MISFIT * usual
+    deviating = [int(i) for i in np.flatnonzero(deviates)]
+    if not 1 <= len(deviating) <= 2 or len(names) - len(deviating) < FEWEST_CHANNELS:
         return
-    if len(suspects) == 1:
-        (i,) = suspects
+    if len(deviating) == 1:
+        (i,) = deviating
         factor = _factor(measured[:, i], predicted[:, i])
         if factor is not None and not SMALLEST_FACTOR < factor < LARGEST_FACTOR:
             yield _factor_in_words(names[i], factor)
         return
-    for i, j in combinations(suspects, 2):
+    for i, j in combinations(deviating, 2):
         volts = measured[:, [j, i]] * size[[j, i]] / size[[i, j]]
         left = np.sqrt(np.mean(np.abs(volts - predicted[:, [i, j]]) ** 2, axis=0))
         if np.all(left < CHANNEL_MISFIT * usual):
