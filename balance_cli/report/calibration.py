@@ -19,6 +19,7 @@ from balance_cli.report.blocks import (
     Table,
     TableCell,
     WarningText,
+    plain_row,
     row_with_name,
 )
 from balance_cli.report.load_residuals import check_load_blocks, load_residual_blocks
@@ -190,5 +191,5 @@ def _coefficient_table(
                 *(TableCell(value, f"\N{PLUS-MINUS SIGN} {sigma}") for value, sigma in pairs),
             )
         )
-    head = (TableCell(""), *(TableCell(name) for name in columns))
+    head = plain_row("", *columns)
     return Table(caption, (head,), tuple(rows))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Rotor
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.model.modes import modes
-from balance_cli.report.blocks import Chart, PageBlock, Row, Table, TableCell
+from balance_cli.report.blocks import Chart, PageBlock, Row, Table, TableCell, plain_row
 from balance_cli.report.figure_style import BLACK, BLUE, EXTRA_COLORS, GRAY, GREEN, ORANGE, SKY, VERMILION
 from balance_cli.report.frequencies import modal_assurance, sigma_scale
 from balance_cli.report.number_format import format_fixed, format_significant, value_and_sigma_text
@@ -127,7 +127,7 @@ def _distance_table(source: Source[IdentifiedModel], rotor: Rotor) -> Table:
                 TableCell(format_significant(float(bandwidths), 2), mark="bad" if bandwidths < CLOSE else ""),
             )
         )
-    head = tuple(TableCell(text) for text in ("mode [Hz]", "nearest multiple", "away by", "in bandwidths"))
+    head = plain_row("mode [Hz]", "nearest multiple", "away by", "in bandwidths")
     caption = (
         f"Distance of each mode from the nearest multiple of the nominal speed ({rotor.speed:.4g} Hz); a bandwidth is "
         "twice the damping ratio times the frequency. Marked: within one bandwidth, where loads of this harmonic "

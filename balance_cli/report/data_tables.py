@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from balance_cli.report.blocks import Chart, Row, Table, TableCell
+from balance_cli.report.blocks import Chart, Row, Table, TableCell, plain_row
 from balance_cli.report.number_format import format_significant
 from balance_cli.report.plots import Plot
 
@@ -30,5 +30,5 @@ def plot_table(plot: Plot) -> Table:
         values = [float(plot.x[i]), *(float(trace.y[i]) for trace in plot.traces)]
         rows.append(tuple(TableCell(format_significant(value, DIGITS)) for value in values))
     left = f"; {len(index)} of {len(plot.x)} values" if len(index) < len(plot.x) else ""
-    head = tuple(TableCell(name) for name in names)
+    head = plain_row(*names)
     return Table(f"{plot.title}: {plot.y_label}{left}", (head,), tuple(rows))

@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Diagnosis, ResidualMap
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
-from balance_cli.report.blocks import Chart, PageBlock, Paragraph, PlotGroup, Row, Table, TableCell, group_heading_row
+from balance_cli.report.blocks import (
+    Chart,
+    PageBlock,
+    Paragraph,
+    PlotGroup,
+    Row,
+    Table,
+    group_heading_row,
+    plain_row,
+    row_with_name,
+)
 from balance_cli.report.figure_style import BLUE, GRAY, VERMILION
 from balance_cli.report.number_format import format_fixed, format_significant, join_names
 from balance_cli.report.plots import Plot, Trace
@@ -128,12 +138,12 @@ def _share_table(groups: dict[str, list[Share]]) -> Table:
         rows.append(group_heading_row(f"by {kind}{more}", len(head)))
         for part in parts[:MOST_ROWS]:
             values = (format_significant(part.before), f"{100 * part.share:.0f} %", format_significant(part.after, 3))
-            rows.append((TableCell(part.name, mark="name"), *(TableCell(value) for value in values)))
+            rows.append(row_with_name(part.name, *values))
     caption = (
         "Where the residual was: rms over its noise before and after updating (the noise alone gives 1), and the share "
         "of the squared residual before that exceeds the noise."
     )
-    return Table(caption, (tuple(TableCell(text) for text in head),), tuple(rows))
+    return Table(caption, (plain_row(*head),), tuple(rows))
 
 
 def _frequency_chart(residual: ResidualMap, suffix: str) -> Chart:

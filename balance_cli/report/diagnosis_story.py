@@ -15,7 +15,7 @@ from balance_cli.diagnosis.result import (
     Trial,
 )
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
-from balance_cli.report.blocks import BulletList, PageBlock, Paragraph, Row, Table, TableCell
+from balance_cli.report.blocks import BulletList, PageBlock, Paragraph, Row, Table, TableCell, plain_row
 from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
 from balance_cli.report.number_format import (
     MISSING_VALUE,
@@ -117,7 +117,7 @@ def worth_table(effects: Sequence[FoundEffect]) -> Table | None:
     names = [name for name in COMPONENTS if any(name in (effect.worth or {}) for effect in shown)]
     if not shown:
         return None
-    head = (TableCell("effect"), *(TableCell(name) for name in names))
+    head = plain_row("effect", *names)
     rows: list[Row] = []
     for effect in shown:
         worth = effect.worth or {}

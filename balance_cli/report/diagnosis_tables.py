@@ -9,7 +9,7 @@ import numpy as np
 
 from balance_cli.diagnosis.result import Diagnosis, FoundEffect, HoldOut
 from balance_cli.estimation.identified_model import ModeTable
-from balance_cli.report.blocks import Row, Table, TableCell, group_heading_row
+from balance_cli.report.blocks import Row, Table, TableCell, group_heading_row, plain_row
 from balance_cli.report.check_errors import ERROR_KINDS, ERROR_TITLES, RelativeError
 from balance_cli.report.diagnosis_errors import STAGES, hold_out_errors_of_run, pooled_hold_out_errors, response_error
 from balance_cli.report.frequencies import LARGE_FREQUENCY_DEVIATION, match_modes, signed_percent
@@ -77,7 +77,7 @@ def parameter_table(effects: Sequence[FoundEffect]) -> Table:
     """Every parameter of every effect."""
     bounded = any(item.interval is not None for effect in effects for item in effect.parameters)
     words = ("parameter", "value", "sigma", "unit", *(["95 %"] if bounded else []))
-    head = tuple(TableCell(word) for word in words)
+    head = plain_row(*words)
     rows: list[Row] = []
     for effect in effects:
         rows.append(group_heading_row(effect.label, len(head)))
@@ -111,7 +111,7 @@ def hold_out_table(diagnosis: Diagnosis) -> Table:
         f"Percent; hub loads as rms over the hold-out runs ({', '.join(diagnosis.hold_out)}). Noise: the error that "
         "the noise of the records alone causes. Shaded: within twice the noise."
     )
-    return Table(caption, (tuple(TableCell(word) for word in ERROR_HEADER),), tuple(rows))
+    return Table(caption, (plain_row(*ERROR_HEADER),), tuple(rows))
 
 
 def run_tables(diagnosis: Diagnosis) -> Iterator[Table]:
@@ -121,7 +121,7 @@ def run_tables(diagnosis: Diagnosis) -> Iterator[Table]:
         for kind in ERROR_KINDS:
             rows += _kind_rows(kind, *(hold_out_errors_of_run(errors, stage, kind) for stage in STAGES))
         rows.append(_error_row("response", *_response_errors(errors)))
-        yield Table(f"{name}: percent.", (tuple(TableCell(word) for word in ERROR_HEADER),), tuple(rows))
+        yield Table(f"{name}: percent.", (plain_row(*ERROR_HEADER),), tuple(rows))
 
 
 def _response_errors(errors: HoldOut) -> tuple[RelativeError, RelativeError]:
@@ -160,7 +160,7 @@ def mode_table(diagnosis: Diagnosis) -> Table:
         "Eigenfrequencies and damping ratios before and after updating, with sigma widened by the misfit, paired "
         "by their shapes; a mode without a partner belongs to a part that the model lacked."
     )
-    return Table(caption, (tuple(TableCell(word) for word in words),), tuple(rows))
+    return Table(caption, (plain_row(*words),), tuple(rows))
 
 
 def _widen_sigmas(modes: ModeTable, chi2_per_dof: float) -> ModeTable:

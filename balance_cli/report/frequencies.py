@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable
 from balance_cli.model.mechanics.equations import SHAFT
-from balance_cli.report.blocks import Details, PageBlock, Paragraph, Picture, Row, Section, Table, TableCell
+from balance_cli.report.blocks import Details, PageBlock, Paragraph, Picture, Row, Section, Table, TableCell, plain_row
 from balance_cli.report.figure_style import new_figure, svg
 from balance_cli.report.number_format import MINUS, capitalize_first, format_fixed, value_and_sigma_text
 from balance_cli.report.source_roles import PREFERRED_MODELS, SourceRole
@@ -271,7 +271,7 @@ def _damping_cell(model: IdentifiedModel, i: int) -> TableCell:
 def shape_table(source: Source[IdentifiedModel]) -> Table:
     """Real parts of the mode shapes, largest motion 1."""
     modes = source.content.modes
-    head = (TableCell("Hz"), *(TableCell(name) for name in modes.coordinates))
+    head = plain_row("Hz", *modes.coordinates)
     rows = [
         (TableCell(f"{frequency:.2f}", mark="name"), *(_shape_cell(complex(value)) for value in shape))
         for frequency, shape in zip(modes.frequency, modes.shape, strict=True)

@@ -27,6 +27,7 @@ from balance_cli.report.blocks import (
     Table,
     TableCell,
     group_heading_row,
+    plain_row,
 )
 from balance_cli.report.innovation_chart import innovation_chart
 from balance_cli.report.number_format import MISSING_VALUE, format_fixed, format_significant
@@ -81,7 +82,7 @@ def innovation_tests_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
         "That is the spectral density of a channel toward zero frequency over that of white innovations. Unlike the "
         "whiteness, these do not grow with the record."
     )
-    return Table(caption, (tuple(TableCell(text) for text in head),), tuple(rows))
+    return Table(caption, (plain_row(*head),), tuple(rows))
 
 
 def _filter_text(run: TimeDomainResult) -> str:
@@ -137,7 +138,7 @@ def channel_noise_table(source: Source[HubLoads]) -> Table:
     """Return the table of the noise of each channel and of the mean square of its innovations, run by run."""
     runs = runs_in_time(source.content)
     names = dict.fromkeys(name for run in runs.values() for name in run.noise)
-    head = (TableCell(""), *(TableCell(name) for name in runs))
+    head = plain_row("", *runs)
     rows = [(TableCell(name, mark="name"), *(_channel_cell(run, name) for run in runs.values())) for name in names]
     caption = (
         f"{source.label}: noise of one sample of each channel [mV], from frequencies above all loads; small: mean "

@@ -14,7 +14,7 @@ from balance_cli.calibration.check_loads import CheckLoads
 from balance_cli.calibration.load_residuals import LoadResiduals, load_residuals
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.load_components import component_units, full_scale
-from balance_cli.report.blocks import Details, Heading, PageBlock, Picture, Table, TableCell
+from balance_cli.report.blocks import Details, Heading, PageBlock, Picture, Table, TableCell, plain_row, row_with_name
 from balance_cli.report.figure_style import BLACK, BLUE, VERMILION, new_figure, svg
 from balance_cli.report.load_series_rows import LoadSeriesRows, split_load_series
 from balance_cli.report.number_format import MISSING_VALUE, format_significant
@@ -111,7 +111,7 @@ def statistics_table(residuals: LoadResiduals, units: dict[str, str]) -> Table:
         f"{residuals.full_scale.meaning}, by the {residuals.method}. {int(residuals.used.sum())} points; the standard "
         "deviation allows for the coefficients that were fitted."
     )
-    return Table(caption, (tuple(TableCell(word) for word in words),), tuple(rows))
+    return Table(caption, (plain_row(*words),), tuple(rows))
 
 
 def series_table(residuals: LoadResiduals, series: tuple[LoadSeriesRows, ...]) -> Table:
@@ -122,9 +122,9 @@ def series_table(residuals: LoadResiduals, series: tuple[LoadSeriesRows, ...]) -
         known = percent[np.isfinite(percent).all(axis=1)]
         cells = np.sqrt(np.mean(known**2, axis=0)) if len(known) else np.full(len(residuals.components), np.nan)
         texts = (format_significant(float(value), 2) if np.isfinite(value) else MISSING_VALUE for value in cells)
-        rows.append((TableCell(entry.words, mark="name"), *(TableCell(text) for text in texts)))
+        rows.append(row_with_name(entry.words, *texts))
     caption = f"Rms residual in % of the {residuals.full_scale.meaning}; a dash: excluded."
-    head = (TableCell("load series"), *(TableCell(name) for name in residuals.components))
+    head = plain_row("load series", *residuals.components)
     return Table(caption, (head,), tuple(rows))
 
 

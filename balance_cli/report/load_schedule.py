@@ -14,7 +14,7 @@ from balance_cli.calibration.load_schedule import (
 )
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.load_components import component_units
-from balance_cli.report.blocks import BulletList, Details, Heading, PageBlock, Paragraph, Table, TableCell
+from balance_cli.report.blocks import BulletList, Details, Heading, PageBlock, Paragraph, Table, TableCell, plain_row
 from balance_cli.report.load_series_rows import split_load_series
 from balance_cli.report.number_format import MISSING_VALUE, format_significant
 
@@ -66,12 +66,12 @@ def component_table(schedule: LoadSchedule, units: Mapping[str, str]) -> Table:
         "Points with each load, with this load alone, distinct levels, load series that vary it, limits, and variance "
         f"inflation by the other loads (marked: more than {HIGH_INFLATION:.0f})."
     )
-    return Table(caption, (tuple(TableCell(word) for word in words),), tuple(rows))
+    return Table(caption, (plain_row(*words),), tuple(rows))
 
 
 def pair_table(schedule: LoadSchedule) -> Table:
     """Points with both loads of a pair, and the correlation of the two."""
-    head = (TableCell(""), *(TableCell(name) for name in schedule.components))
+    head = plain_row("", *schedule.components)
     rows = []
     for i, name in enumerate(schedule.components):
         cells = []

@@ -11,7 +11,7 @@ from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.check_loads import CheckLoads
 from balance_cli.calibration.tares import Tares
 from balance_cli.campaign.rig.load_components import FullScale
-from balance_cli.report.blocks import Row, Table, TableCell
+from balance_cli.report.blocks import Row, Table, TableCell, plain_row
 from balance_cli.report.diagnosis_tables import PLUS_MINUS, format_p_value
 from balance_cli.report.load_series_rows import channel_residual_sigma
 from balance_cli.report.number_format import (
@@ -169,7 +169,7 @@ def tare_table(channels: tuple[str, ...], tares: Tares, scale: ReadingScale) -> 
 
 def check_table(all_trims: AllTrimsCalibration, scale: FullScale) -> Table:
     """Errors of held-out runs, and the share of their loads within the prediction interval."""
-    head = tuple(TableCell(word) for word in ("run", *all_trims.model.components, "rows", "left out"))
+    head = plain_row("run", *all_trims.model.components, "rows", "left out")
     caption = (
         f"Held-out loads: rms error in % of the {scale.meaning}, by the calibration model where no other method is "
         "named; small: share of the rows within their 95 % prediction interval. Left out: rows beyond the loads for "

@@ -20,6 +20,7 @@ from balance_cli.report.blocks import (
     Table,
     TableCell,
     WarningText,
+    plain_row,
 )
 from balance_cli.report.force_responses import band_text
 from balance_cli.report.frequencies import sigma_scale
@@ -171,7 +172,7 @@ def _fit_history_text(model: IdentifiedModel) -> str:
 
 def parameter_table(source: Source[IdentifiedModel], index: Sequence[int]) -> Table:
     """Value and sigma, declared value and tolerance, their deviation, and what informs the value."""
-    head = tuple(TableCell(name) for name in PARAMETER_HEADER)
+    head = plain_row(*PARAMETER_HEADER)
     rows = tuple(_parameter_row(source.content, i) for i in index)
     caption = (
         "Identified and declared values with one sigma each; deviation in units of the declared sigma "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from balance_cli.report.blocks import PageBlock, Paragraph, Row, Section, Table, TableCell
+from balance_cli.report.blocks import PageBlock, Paragraph, Row, Section, Table, TableCell, plain_row
 from balance_cli.report.sources import Source, Sources
 
 DIGEST_DIGITS = 12
@@ -27,7 +27,7 @@ def section(sources: Sources) -> Section:
 
 def artefact_table(sources: Sources) -> Table:
     """One row per artefact: file, format, label, command, options, digest, time."""
-    head = tuple(TableCell(name) for name in ("file", "format", "shown as", "command", "options", "digest", "made"))
+    head = plain_row("file", "format", "shown as", "command", "options", "digest", "made")
     return Table("Artefacts.", (head,), tuple(_artefact_row(source) for source in sources.all_sources))
 
 
@@ -58,7 +58,7 @@ def input_table(sources: Sources) -> Table:
     for (role, name, digest), files in files_by_input.items():
         short = TableCell(digest[:DIGEST_DIGITS], mark="digest", title=digest)
         rows.append((TableCell(name, mark="name"), TableCell(role), short, TableCell(", ".join(dict.fromkeys(files)))))
-    head = tuple(TableCell(name) for name in ("input", "role", "digest", "used for"))
+    head = plain_row("input", "role", "digest", "used for")
     return Table("Inputs of the artefacts.", (head,), tuple(rows))
 
 

@@ -7,7 +7,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
-from balance_cli.report.blocks import PageBlock, Paragraph, Picture, Row, Section, Table, TableCell, WarningText
+from balance_cli.report.blocks import (
+    PageBlock,
+    Paragraph,
+    Picture,
+    Row,
+    Section,
+    Table,
+    TableCell,
+    WarningText,
+    plain_row,
+)
 from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
     Band,
@@ -97,7 +107,7 @@ def run_table(transfer: Transfer) -> Table:
     rows = [
         _run_row(transfer, select_component(r, name), r, limits) for r in transfer.responses for name in r.components
     ]
-    return Table(caption, (tuple(TableCell(name) for name in RUN_HEADER),), tuple(rows))
+    return Table(caption, (plain_row(*RUN_HEADER),), tuple(rows))
 
 
 def _run_row(transfer: Transfer, response: FrequencyResponse, full_response: FrequencyResponse, limits: Band) -> Row:
@@ -148,7 +158,7 @@ def level_table(source: Source[Transfer], component_responses: Sequence[Frequenc
         "Dependence of the response on the level: relative difference of two runs over all channels, "
         f"{band_text(limits)}, and the noise of both. Marked: more than {LEVEL_NOISE_FACTOR} times the noise."
     )
-    head = tuple(TableCell(name) for name in ("component", "levels rms", "runs", "difference %", "noise %"))
+    head = plain_row("component", "levels rms", "runs", "difference %", "noise %")
     return Table(caption, (head,), tuple(rows))
 
 
