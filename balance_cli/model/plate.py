@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix, motion_at
-from balance_cli.campaign.rig.load_components import components_by_freedom
 from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant
@@ -87,8 +86,3 @@ def moment_reference_length(hub: Sequence[float]) -> float:
     """Length [m] that makes moments comparable with forces: the height of the hub above the plate."""
     height = abs(float(hub[2]))
     return height if height > 0 else 1.0
-
-
-def carried_components(geometry: Geometry) -> tuple[str, ...]:
-    """The hub load components that this balance can measure: one per motion of plate and shaft."""
-    return components_by_freedom(geometry)

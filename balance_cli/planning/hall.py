@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive, Vector
 from balance_cli.campaign.rig.geometry import DeclaredLoadPoint, Geometry
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
-from balance_cli.model.plate import carried_components
 from balance_cli.planning.extended_model import effect_names
 from balance_cli.simulation.noise import DeclaredNoise
 from balance_cli.simulation.plans import (

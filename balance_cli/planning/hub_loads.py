@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
-from balance_cli.model.plate import carried_components
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system_response import response, solve
 from balance_cli.planning.channel_noise import ChannelNoise, channel_sigma

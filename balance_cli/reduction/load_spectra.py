@@ -18,8 +18,8 @@ from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
-from balance_cli.model.plate import carried_components
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.measured_response import highest_frequency
 from balance_cli.reduction.response_sources import ResponseSource, load_scale, usable_channels

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.errors import UserError
-from balance_cli.model.plate import carried_components
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
 from balance_cli.reduction.response_sources import (
     ASSUMED_DECAY,

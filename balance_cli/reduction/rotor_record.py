@@ -12,8 +12,8 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
-from balance_cli.model.plate import carried_components
 from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
 from balance_cli.reduction.response_sources import ResponseSource, usable_channels
 from balance_cli.reduction.speed_modulation import without_speed_modulation

@@ -8,12 +8,13 @@ from functools import cached_property
 from itertools import takewhile
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.estimation.deadline import NO_DEADLINE, Deadline
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
-from balance_cli.model.plate import carried_components, moment_reference_length
+from balance_cli.model.plate import moment_reference_length
 from balance_cli.planning.candidate_runs import CandidateRun, by_turns, candidate_runs, number_runs
 from balance_cli.planning.channel_noise import ChannelNoise, planning_noise
 from balance_cli.planning.choices import Aim
@@ -253,8 +254,7 @@ def _describe(
     rehearsed = {
         i: _forecast_information(base, problem, i, options.seed, deadline) for i, _ in zip(order, shown, strict=True)
     }
-    runs = [rehearsed[i] for i in selection]
-    stages, total = forecast_stages(problem.before, runs, base.model, options.detection)
+    stages, total = forecast_stages(problem.before, [rehearsed[i] for i in selection], base.model, options.detection)
     named = number_runs([problem.candidates[i] for i in selection])
     proposals = list({run.run: run for run in problem.information}.values())
     further = _further_information(base, options, deadline)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.kinematics import elongation_matrix, motion_at
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.campaign.rig.mass_properties import metric_side
-from balance_cli.model.plate import carried_components, load_matrix, mass_matrix, plate_matrices
+from balance_cli.model.plate import load_matrix, mass_matrix, plate_matrices
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
 

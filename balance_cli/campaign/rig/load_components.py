@@ -60,7 +60,7 @@ def load_components(geometry: Geometry) -> LoadComponents:
     """
     if geometry.components is not None:
         return _declared_components(geometry, geometry.components)
-    names = components_by_freedom(geometry) if geometry.cells else (tuple(geometry.rated_loads or ()) or COMPONENTS)
+    names = carried_components(geometry) if geometry.cells else (tuple(geometry.rated_loads or ()) or COMPONENTS)
     names = tuple(name for name in COMPONENTS if name in names)
     to_hub = np.eye(6)[[COMPONENTS.index(name) for name in names]]
     return LoadComponents(names, tuple(UNIT_OF[name] for name in names), to_hub.T, to_hub)
@@ -102,7 +102,7 @@ def component_units(geometry: Geometry) -> dict[str, str]:
     return {**UNIT_OF, **dict(zip(components.names, components.units, strict=True))}
 
 
-def components_by_freedom(geometry: Geometry) -> tuple[str, ...]:
+def carried_components(geometry: Geometry) -> tuple[str, ...]:
     """The hub loads that this rig can carry: one per motion of plate and shaft."""
     carried = {COMPONENT_OF_FREEDOM[name] for name in geometry.freedom}
     carried |= {meter.component for meter in geometry.shaft_meters}
