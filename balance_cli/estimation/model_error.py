@@ -12,14 +12,13 @@ Laird, Controlled Clinical Trials 7, 1986). As the model improves e decreases, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import WORKERS, Batch
+from balance_cli.estimation.batch import Batch, map_batches
 from balance_cli.estimation.likelihood import evaluate_prediction
 from balance_cli.estimation.prediction import BatchPrediction, predict_batch
 from balance_cli.estimation.shared_solutions import SharedSolutions
@@ -38,11 +37,14 @@ MIN_RESPONSE_RATIO = 1e-3
 # Range of e: an error as large as the response, and one far below any noise, which counts as zero.
 MAX_RELATIVE_ERROR = 1.0
 MIN_RELATIVE_ERROR = 1e-6
-# Start of the iteration for e; with e <- e sqrt(chi2 / dof) it matters little.
+# Start of the iteration for e, which matters little.
 INITIAL_RELATIVE_ERROR = 0.1
 ITERATIONS = 8
 # Relative change of e at which the iteration ends; a weight need not be known better.
 CONVERGENCE_TOLERANCE = 0.01
+# Derivative of ln(chi2 without error / chi2 - 1) by ln e where the error is about equally large beside the noise of all
+# lines, and the flattest one with which a step is taken.
+USUAL_SLOPE, FLATTEST_SLOPE = 2.0, 0.25
 
 
 def add_model_error(batches: Sequence[Batch], relative_errors: ModelErrors) -> tuple[Batch, ...]:
@@ -125,23 +127,47 @@ def estimate_model_error(
     """The relative error e of each run at which its chi-square equals its degrees of freedom.
 
     Zero where chi-square exceeds the degrees of freedom by at most `sigma_limit` of its standard deviations without any
-    model error. Where the error outweighs the noise, chi-square is proportional to 1/e^2: e <- e sqrt(chi2 / dof).
+    model error. With an error e beside a noise n chi-square falls as 1 / (1 + e^2 / n^2): chi2(0) / chi2(e) - 1 is
+    nearly a power of e, and e is found by secants in logarithms.
     """
     names = [name for batch in batches for name in batch.run_names]
     dof = np.concatenate([np.bincount(batch.lines.run, batch.lines.count, len(batch.run_names)) for batch in batches])
     shared = SharedSolutions(system)
     predictions = [_predict(batch, system, shared) for batch in batches]
-    misfits = _run_chi2(batches, system, predictions, shared) > dof + sigma_limit * _chi2_sigma(batches, dof)
-    relative_errors = np.array([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
-    powers = [local_response_power(batch) for batch in batches] if misfits.any() else []
-    for _ in range(ITERATIONS if misfits.any() else 0):
-        trial = dict(zip(names, np.where(misfits, relative_errors, 0.0).tolist(), strict=True))
-        ratio = np.sqrt(_run_chi2(_add_errors(batches, trial, powers), system, predictions, shared) / dof)
-        relative_errors = np.clip(relative_errors * ratio, MIN_RELATIVE_ERROR, MAX_RELATIVE_ERROR)
-        if np.all(np.abs(ratio[misfits] - 1.0) < CONVERGENCE_TOLERANCE):
-            break
+    without_error = _run_chi2(batches, system, predictions, shared)
+    misfits = without_error > dof + sigma_limit * _chi2_sigma(batches, dof)
+    if not misfits.any():
+        return dict.fromkeys(names, 0.0)
+    powers = [local_response_power(batch) for batch in batches]
+
+    def excess(log_error: Array) -> Array:
+        trial = dict(zip(names, np.where(misfits, np.exp(log_error), 0.0).tolist(), strict=True))
+        chi2 = _run_chi2(_add_errors(batches, trial, powers), system, predictions, shared)
+        tiny = np.finfo(float).tiny
+        found, sought = (np.maximum(without_error / value - 1.0, tiny) for value in (chi2, dof))
+        return np.asarray(np.log(found / sought))
+
+    start = np.log([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
+    relative_errors = np.exp(_solve_by_secants(excess, start, misfits))
     is_error = misfits & (relative_errors > MIN_RELATIVE_ERROR)
     return dict(zip(names, np.where(is_error, relative_errors, 0.0).tolist(), strict=True))
+
+
+def _solve_by_secants(excess: Callable[[Array], Array], start: Array, sought: NDArray[np.bool_]) -> Array:
+    """Return ln e (r,) at which rising functions of it are zero, one for each; only the `sought` ones matter."""
+    limits = np.log([MIN_RELATIVE_ERROR, MAX_RELATIVE_ERROR])
+    x, slope = np.clip(start, *limits), np.full(len(start), USUAL_SLOPE)
+    value = excess(x)
+    for _ in range(ITERATIONS):
+        step = np.clip(x - value / slope, *limits) - x
+        x = x + step
+        if np.all(np.abs(step[sought]) < CONVERGENCE_TOLERANCE):
+            break
+        before, value = value, excess(x)
+        moved = np.abs(step) > CONVERGENCE_TOLERANCE
+        secant = np.maximum((value - before) / np.where(moved, step, 1.0), FLATTEST_SLOPE)
+        slope = np.where(moved, secant, slope)
+    return x
 
 
 def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
@@ -168,5 +194,4 @@ def _run_chi2(
         fit = evaluate_prediction(batch, system, prediction, derivatives=False, shared=shared)
         return np.asarray(np.bincount(batch.lines.run, fit.chi2 / batch.lines.efficiency, len(batch.run_names)), float)
 
-    with ThreadPoolExecutor(WORKERS) as workers:
-        return np.concatenate(list(workers.map(batch_chi2, batches, predictions)))
+    return np.concatenate(list(map_batches(batch_chi2, batches, predictions)))

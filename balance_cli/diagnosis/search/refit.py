@@ -31,6 +31,7 @@ from balance_cli.estimation.model_error import (
 )
 from balance_cli.estimation.starting_values import REGRESSION_PRIOR_SCALES, start_from_equations_of_motion
 from balance_cli.model.balance import BalanceModel
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 
@@ -70,13 +71,14 @@ def fit_until_stable(
     for _ in range(settings.search_rounds):
         weighted = add_model_error(lines.fitted, shares)
         theta = take_steps(model, theta, weighted, settings.search_steps, settings).theta
-        before, shares = shares, estimate_model_error(lines.fitted, model.system(theta, derivatives=False), shares)
+        system = model.system(theta, derivatives=False)
+        before, shares = shares, estimate_model_error(lines.fitted, system, shares)
         if all(shares[run] >= (1.0 - settings.min_error_decrease) * before[run] for run in shares):
             break
     prior = prior_curvature(model.parameters, theta).chi2
-    validation_shares = estimate_model_error(lines.validation, model.system(theta, derivatives=False), shares)
-    fit_criterion = minus_two_log_likelihood(model, theta, lines.fitted, shares) + prior
-    validation_criterion = minus_two_log_likelihood(model, theta, lines.validation, validation_shares) + prior
+    validation_shares = estimate_model_error(lines.validation, system, shares)
+    fit_criterion = minus_two_log_likelihood(system, lines.fitted, shares) + prior
+    validation_criterion = minus_two_log_likelihood(system, lines.validation, validation_shares) + prior
     return SearchState(model, theta, shares, fit_criterion, validation_criterion)
 
 
@@ -96,10 +98,9 @@ def take_steps(
     return take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, min_gain, known)
 
 
-def minus_two_log_likelihood(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: ModelErrors) -> float:
+def minus_two_log_likelihood(system: System, batches: Sequence[Batch], shares: ModelErrors) -> float:
     """Return -2 ln likelihood of these lines with this model error, up to a constant of the data."""
-    chi2 = data_chi2(add_model_error(batches, shares), model.system(theta, derivatives=False))
-    return chi2 + log_determinant_inflation(batches, shares)
+    return data_chi2(add_model_error(batches, shares), system) + log_determinant_inflation(batches, shares)
 
 
 @dataclass(frozen=True)
