@@ -1,7 +1,4 @@
-"""Tuning constants of a diagnosis, each with the reason for its value.
-
-All chi-square values are those of -2 ln likelihood. A share is a fraction of one.
-"""
+"""Tuning constants of a diagnosis, with reasons; chi-square is that of -2 ln likelihood, a share a fraction of one."""
 
 from __future__ import annotations
 
@@ -59,8 +56,7 @@ class FitSettings:
     steps_before_valley: int = 8
     """Steps on all lines after which a fit counts as one along a valley: all others have converged by then."""
     contender_steps: int = 12
-    """Steps on all lines after which fits that are compared are given up where they cannot reach the best one: all but
-    those along a valley have converged by then."""
+    """Steps after which compared fits that cannot reach the best are given up: all but those along valleys are done."""
     comparison_tolerance: float = 0.1
     """Tolerance of chi-square of fits that are compared: well below `indistinguishable_chi2`."""
     max_noise_chi2_per_dof: float = 1.05
@@ -81,6 +77,8 @@ class RoundSettings:
     """The same for effects with several nuisance parameters, whose scores can be far too small."""
     max_nuisance_trials: int = 1
     """Such effects that are refitted beside the leading ones."""
+    min_rival_score_share: float = 0.1
+    """Score without nuisance parameters, over a gain with them, worth a refit: without cause they gain 4 times it."""
     max_full_fits: int = 2
     """Candidates of a round that are fitted until stable."""
     min_partial_gain_share: float = 0.7

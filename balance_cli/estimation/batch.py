@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +17,13 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+Value = TypeVar("Value")
 
 # Batches that are worked on at once, one thread each: two cores are available nearly everywhere.
 WORKERS = 2
+# Lines of all batches from which threads pay. Few lines are quickly multiplied, and what is left is the interpreter,
+# which runs one thread at a time: with the 300 lines of a search two threads take as long as one, and more work.
+MIN_THREADED_LINES = 1000
 # Bytes of one array of derivatives above which a batch is split. The C library takes larger blocks than this from the
 # system for every array anew, and the system fills their pages with zeros (M_MMAP_THRESHOLD of malloc: 32 MiB at most).
 MAX_DERIVATIVE_BYTES = 2**25
@@ -115,6 +121,18 @@ class Batch:
     def line_frequency(self) -> Array:
         """Frequency (K,) [Hz] of each line."""
         return self.frequency[self.lines.index]
+
+
+def map_batches(
+    function: Callable[..., Value], batches: Sequence[Batch], *of_batches: Sequence[object]
+) -> Iterator[Value]:
+    """The function of each batch, and what belongs to it, in order; where there are many lines on several threads."""
+    if sum(len(batch.lines.index) for batch in batches) < MIN_THREADED_LINES:
+        yield from map(function, batches, *of_batches)
+        return
+    with ThreadPoolExecutor(WORKERS) as workers:
+        # Threads suffice, because numpy releases the interpreter lock.
+        yield from workers.map(function, batches, *of_batches)
 
 
 def select_lines(batch: Batch, mask: Mask) -> Batch:

@@ -163,8 +163,8 @@ def _force_histories(
                 yield force, d.value, _force_history(force, d, columns, waveform.is_periodic), columns
             elif derivatives:
                 own = np.flatnonzero(force.values.derivative[:, 0])
-                unvaried = constant(d.value, len(own))
-                yield force, d.value, _force_history(force, unvaried, own, waveform.is_periodic), own
+                shape = force.shape(constant(d.value, 0), constant(force.values.value, 0), waveform.is_periodic).value
+                yield force, d.value, Dual(np.zeros_like(shape), force.values.derivative[own, 0, None] * shape), own
 
 
 def _force_history(force: CellForce, d: Dual, columns: Index, is_periodic: bool) -> Dual:

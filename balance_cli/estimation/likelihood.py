@@ -14,14 +14,13 @@ interference of unknown phase is eliminated last (see `mains_interference`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
+from balance_cli.estimation.batch import Batch, map_batches, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces
 from balance_cli.estimation.channel_distortions import RunDistortions
 from balance_cli.estimation.inner_products import (
@@ -246,10 +245,8 @@ def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     """Chi-square, gradient and information of all measured lines."""
     p, shared = system.parameters, SharedSolutions(system)
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
-    with ThreadPoolExecutor(WORKERS) as workers:
-        # Threads suffice, because numpy releases the interpreter lock. The fixed order of the sum fixes its rounding.
-        for part in workers.map(lambda batch: batch_curvature(batch, system, shared), split_large_batches(batches, p)):
-            total = total + part
+    for part in map_batches(lambda batch: batch_curvature(batch, system, shared), split_large_batches(batches, p)):
+        total = total + part  # the fixed order fixes the rounding
     return total
 
 
@@ -261,8 +258,7 @@ def data_chi2(batches: Sequence[Batch], system: System) -> float:
         solution = shared.solution(batch.frequency, batch.spin)
         return evaluate_batch(batch, system, solution, shared=shared).total
 
-    with ThreadPoolExecutor(WORKERS) as workers:
-        return float(sum(workers.map(chi2, batches)))
+    return float(sum(map_batches(chi2, batches)))
 
 
 def count_measured_values(batches: Sequence[Batch]) -> int:

@@ -13,7 +13,7 @@ from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates
 from balance_cli.diagnosis.search.preference import choose_most_linear
 from balance_cli.diagnosis.search.refit import PartialFit, SearchState, data_count, fit_partially, fit_until_stable
-from balance_cli.diagnosis.search.score_statistics import Score, scores
+from balance_cli.diagnosis.search.score_statistics import Score, has_nuisance_parameters, scores
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.trials import make_trial
 from balance_cli.diagnosis.settings import RoundSettings, SearchSettings
@@ -41,9 +41,7 @@ def search_round(
     """Return what round `number` adds to the state from a pool of candidates."""
     ranked = rank_candidates(state, lines, pool, settings)
     leading = select_leading(ranked, settings)
-    with ThreadPoolExecutor(WORKERS) as workers:
-        ends = workers.map(lambda score: fit_partially(state, score, lines, settings), leading)
-        partial_fits = list(zip(leading, ends, strict=True))
+    partial_fits = _fit_leading(state, leading, lines, settings)
     refits = [
         (score, fit_until_stable(partial.model, partial.theta, lines, settings.fit, state.shares))
         for score, partial in _select_for_full_fit(partial_fits, settings.rounds)
@@ -57,8 +55,29 @@ def search_round(
     accepted = gains[label] > threshold and best.validation_criterion < state.validation_criterion
     validation = {score.candidate.label: state.validation_criterion - end.validation_criterion for score, end in refits}
     decision = _Decision(label if accepted else None, threshold, gains, validation)
-    trials = tuple(decision.trial(number, score, len(ranked), partial.gain) for score, partial in partial_fits)
+    first_gains = {score.candidate.label: partial.gain for score, partial in partial_fits}
+    trials = tuple(decision.trial(number, score, len(ranked), first_gains) for score in leading)
     return RoundResult(best, trials, {label: gains}) if accepted else RoundResult(None, trials)
+
+
+def _fit_leading(
+    state: SearchState, leading: Sequence[Score], lines: SearchLines, settings: SearchSettings
+) -> PartialFits:
+    """The first steps of leading candidates: first those whose scores may be far too small, then what can rival them.
+
+    Without nuisance parameters the score predicts the gain. What is left out takes its turn in the next round.
+    """
+    uncertain = [score for score in leading if has_nuisance_parameters(score)]
+    with ThreadPoolExecutor(WORKERS) as workers:
+
+        def fit(scores: Sequence[Score]) -> PartialFits:
+            ends = workers.map(lambda score: fit_partially(state, score, lines, settings), scores)
+            return list(zip(scores, ends, strict=True))
+
+        fits = fit(uncertain)
+        least = settings.rounds.min_rival_score_share * max((partial.gain for _, partial in fits), default=0.0)
+        rivals = [score for score in leading if not has_nuisance_parameters(score) and score.gain > least]
+        return [*fits, *fit(rivals)]
 
 
 def _gains(
@@ -80,11 +99,13 @@ class _Decision:
     gains: Mapping[str, float]
     validation: Mapping[str, float]
 
-    def trial(self, number: int, score: Score, count: int, partial_gain: float) -> Trial:
-        """The trial of one of `count` candidates in round `number`."""
+    def trial(self, number: int, score: Score, count: int, first_gains: Mapping[str, float]) -> Trial:
+        """The trial of one of `count` candidates in round `number`; `first_gains` of those that took first steps."""
         label = score.candidate.label
-        gain, validation = self.gains.get(label, partial_gain), self.validation.get(label, float("nan"))
-        return make_trial(number, score, count, gain, label == self.accepted, self._reason(label), validation)
+        gain = self.gains.get(label, first_gains.get(label, float("nan")))
+        validation = self.validation.get(label, float("nan"))
+        reason = self._reason(label) if label in first_gains else "its score is far below what another gained"
+        return make_trial(number, score, count, gain, label == self.accepted, reason, validation)
 
     def _reason(self, label: str) -> str:
         if label == self.accepted:

@@ -105,9 +105,12 @@ def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArra
     w = np.repeat(at_turns, np.diff(turns, append=len(path)))
     w = np.clip(w, path - distance, path + distance)
     moved = np.diff(w, prepend=0.0)
-    last = np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(path)), -1))
-    direction = np.where(last >= 0, np.sign(moved)[last], 0.0)
-    return np.where(last >= 0, last % n, -1)[-n:], direction[-n:]
+    slips = np.flatnonzero(moved)
+    # Each slip is the last one until the next; of the last n instants none belongs to those that are superseded before.
+    instants = np.diff(np.maximum(slips, len(path) - n), append=len(path))
+    before = n - int(instants.sum())
+    last = np.concatenate([np.full(before, -1), np.repeat(slips % n, instants)])
+    return last, np.concatenate([np.zeros(before), np.repeat(np.sign(moved[slips]), instants)])
 
 
 def _turning_points(path: Array) -> NDArray[np.intp]:
