@@ -140,7 +140,7 @@ class CalibrationModel:
     def load_covariance(
         self, loads: ArrayLike, reading_covariance: ArrayLike | None = None, rows: NDArray[np.intp] | None = None
     ) -> Array:
-        """Covariance (m, k, k) of loads (m, k) [N, N m] computed from readings of covariance (c, c) [V2].
+        """Covariance (m, k, k) of loads (m, k) [N, N m] from readings of covariance (c, c) or (m, c, c) [V2].
 
         By default the covariance of the readings is that of a row of the calibration. With the Jacobian J = dr/dx at
         the loads and W = (J'U^-1 J)^-1 J'U^-1, U the `weight_covariance`, it is W (S + x' cov(b) x) W'.
@@ -148,7 +148,7 @@ class CalibrationModel:
         at = np.arange(len(self.channel_names)) if rows is None else rows
         S, weighting = self.residual_covariance[np.ix_(at, at)], self.weight_covariance(at)
         noise = S if reading_covariance is None else np.asarray(reading_covariance, float)
-        W = np.stack([weighted_inverse(J, weighting) for J in self.jacobian(loads, rows)])
+        W = weighted_inverse(self.jacobian(loads, rows), weighting)
         total = noise + self.model_covariance(loads, rows)
         covariance = W @ total @ W.swapaxes(1, 2)
         return np.asarray(covariance * self.calibrated_range[:, None] * self.calibrated_range)
@@ -180,8 +180,8 @@ def zero_scatter(zeros: Array) -> Array:
 
 
 def weighted_inverse(C: Array, covariance: Array) -> Array:
-    """Compute W (k, c) with W C = 1 for C (c, k), of least variance where there are more channels than loads."""
-    if C.shape[0] == C.shape[1]:
+    """Compute W (..., k, c) with W C = 1 for C (..., c, k), of least variance where channels outnumber loads."""
+    if C.shape[-2] == C.shape[-1]:
         return np.asarray(np.linalg.inv(C))
     weighted = np.linalg.solve(covariance, C)
-    return np.asarray(np.linalg.solve(C.T @ weighted, weighted.T))
+    return np.asarray(np.linalg.solve(C.swapaxes(-1, -2) @ weighted, weighted.swapaxes(-1, -2)))

@@ -87,14 +87,14 @@ class UntestedProducts:
         return tuple(parts)
 
     def reading_covariance(self, loads: ArrayLike, rows: Index) -> Array:
-        """Covariance (c, c) [V2] of some channels (rows) at loads (k,): products of two channels are independent."""
-        return np.diag(self.reading_variance(loads)[0, rows])
+        """Covariance (m, c, c) [V2] of some channels (rows) at loads (m, k): those of two channels are independent."""
+        return self.reading_variance(loads)[:, rows, None] * np.eye(len(rows))
 
     def load_covariance(self, model: CalibrationModel, loads: ArrayLike, rows: Index | None = None) -> Array:
         """Covariance (m, k, k) of loads (m, k) [N, N m] that the model computes from some channels (rows)."""
         at = np.arange(len(model.channel_names)) if rows is None else rows
         weighting = model.weight_covariance(at)
-        W = np.stack([weighted_inverse(J, weighting) for J in model.jacobian(loads, at)])
+        W = weighted_inverse(model.jacobian(loads, at), weighting)
         covariance = (W * self.reading_variance(loads)[:, None, at]) @ W.swapaxes(1, 2)
         return np.asarray(covariance * model.calibrated_range[:, None] * model.calibrated_range)
 

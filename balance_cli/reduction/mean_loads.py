@@ -264,11 +264,21 @@ def mean_load_redundancy(
     degrees = len(C0) - C0.shape[1]
     if degrees <= 0:
         return float("nan"), float("inf")
-    weight = np.linalg.inv(covariance)
-    inverse = np.linalg.inv(C0.T @ weight @ C0)
-    projected = residual - C0 @ (inverse @ C0.T @ weight @ residual)
-    chi2 = float(projected @ weight @ projected)
+    chi2 = float(redundancy_chi2(residual, C0, covariance))
     if not np.isfinite(dof):
-        return chi2 / degrees, float(stats.chi2.ppf(REDUNDANCY_CONFIDENCE, degrees)) / degrees
+        return chi2 / degrees, redundancy_limit(degrees)
     second = dof if variances_only else max(dof - degrees + 1.0, 1.0)
     return chi2 / degrees, float(stats.f.ppf(REDUNDANCY_CONFIDENCE, degrees, second)) * max(dof / second, 1.0)
+
+
+def redundancy_chi2(residual: Array, C0: Array, covariance: Array) -> Array:
+    """Chi-square (...) of residuals (..., c) with loads fitted by C0 (..., c, k), for a covariance (..., c, c)."""
+    weight, columns = np.linalg.inv(covariance), C0.swapaxes(-1, -2)
+    inverse, e = np.linalg.inv(columns @ weight @ C0), residual[..., None]
+    projected = e - C0 @ (inverse @ (columns @ (weight @ e)))
+    return np.asarray((projected.swapaxes(-1, -2) @ weight @ projected)[..., 0, 0])
+
+
+def redundancy_limit(degrees: int) -> float:
+    """The 99.9 % point of chi-square per degree of freedom."""
+    return float(stats.chi2.ppf(REDUNDANCY_CONFIDENCE, degrees)) / degrees

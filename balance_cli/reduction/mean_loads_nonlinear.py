@@ -117,7 +117,7 @@ def _describe_loads(
         tested = _non_iterative_variance(direct, calibration, reading)
     variance, untested = tested, all_trims.untested_products
     if untested is not None:
-        total_covariance = total_covariance + untested.reading_covariance(loads, rows)
+        total_covariance = total_covariance + untested.reading_covariance(loads, rows)[0]
         variance = tested + np.diag(untested.load_covariance(model, loads, rows)[0])
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     outside = untested_components(model.components, variance, tested)

@@ -13,6 +13,7 @@ from balance_cli.calibration.untested_products import find_untested_products
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
+from balance_cli.steps import point_loads as steps_point_loads
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.point_loads import point_loads
 from balance_cli.steps.point_zeros import PointReadings
@@ -80,6 +81,21 @@ def test_tables_are_flagged_and_covered_too():
     result = point_loads(PointReadings("t", NAMES, channels, np.zeros(len(loads), np.intp), is_zero), cal)
     assert result.flags[0] == "" and all(flag.startswith("extrapolated F") for flag in result.flags[1:])
     assert np.mean(np.abs(result.loads - loads)[1:] < result.interval[1:]) > 0.95
+
+
+@pytest.mark.parametrize("rows_at_once", [1, 7])
+def test_each_row_of_a_table_is_as_it_is_alone(monkeypatch, rows_at_once):
+    cal, rng = one_load_at_a_time(2), np.random.default_rng(6)
+    channels = curved_readings(0.9 * AMPLITUDE * rng.uniform(-1, 1, (40, 6)), 2)
+    channels[3, 2] += 100.0 * NOISE
+    readings = PointReadings("t", NAMES, channels, np.zeros(40, np.intp), np.zeros(40, bool))
+    at_once = point_loads(readings, cal)
+    monkeypatch.setattr(steps_point_loads, "ROWS_AT_ONCE", rows_at_once)
+    in_blocks = point_loads(readings, cal)
+    for name in ("loads", "covariance", "interval", "redundancy"):
+        np.testing.assert_allclose(getattr(in_blocks, name), getattr(at_once, name), rtol=1e-9)
+    assert in_blocks.flags == at_once.flags
+    assert at_once.redundancy[3] > 10.0 * np.median(at_once.redundancy)
 
 
 def test_a_schedule_with_combined_loads_leaves_no_product_open():
