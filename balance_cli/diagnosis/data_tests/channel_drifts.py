@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.data_test_settings import DataTestSettings
+from balance_cli.diagnosis.data_tests.record_changes import noise_of_period
 from balance_cli.diagnosis.result import RECORD_CHANGE_TEST, ModelFreeTest
 from balance_cli.diagnosis.significance import bonferroni_min_p_value, chi2_p_value, format_with_sigma
-from balance_cli.signals.covariance_pooling import pooled_covariance, variance_floor
 from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
@@ -75,7 +75,8 @@ def _changes_of_run(run: RunSpectrum, names: tuple[str, ...], settings: DataTest
     places = [run.channel_names.index(name) for name in names]
     periods = run.periods[begin:, lines[:, None], places]
     half = len(periods) // 2
-    variance, dof = _noise_of_period(periods)
+    covariance, dof = noise_of_period(periods)
+    variance = np.diagonal(covariance, axis1=1, axis2=2).real
     first, last = periods[:half].mean(axis=0), periods[-half:].mean(axis=0)
     value, sigma = _fit_gain_and_delay(first, last, variance / half, 2.0 * np.pi * run.frequency[lines])
     signal = np.sum(np.abs(first) ** 2, axis=0) / np.sum(variance / half, axis=0)
@@ -91,15 +92,6 @@ def _first_steady_periods(run: RunSpectrum) -> NDArray[np.intp]:
     # A record that begins with part of a period passes for one of longer periods, whose first steady one is no earlier.
     first = np.ceil(len(run.periods) * run.window.start / run.window.stop - 1e-9)
     return np.maximum(first.astype(np.intp), 1)
-
-
-def _noise_of_period(periods: ComplexArray) -> tuple[Array, float]:
-    """Variance (k, c) of one period (P, k, c) and its dof, from differences of successive ones."""
-    step = np.diff(periods, axis=0)
-    counts = np.full(periods.shape[1], float(len(step)))
-    pooled = pooled_covariance(step.swapaxes(0, 1) / np.sqrt(2.0), counts, floor=variance_floor(periods))
-    # Overlapping differences: von Neumann, Ann. Math. Stat. 12 (1941) 367.
-    return np.diagonal(pooled.at_lines, axis1=1, axis2=2).real, 2.0 / 3.0 * pooled.dof
 
 
 def _fit_gain_and_delay(first: ComplexArray, last: ComplexArray, variance: Array, omega: Array) -> tuple[Array, Array]:

@@ -55,7 +55,7 @@ def _halves(run: RunSpectrum, names: tuple[str, str], settings: DataTestSettings
     half = len(periods) // 2
     if half < settings.record_changes.min_half_periods:
         return []
-    covariance, dof = _noise_of_period(periods)
+    covariance, dof = noise_of_period(periods)
     first = RunSpectrum(
         run=run.run,
         channel_names=names,
@@ -69,8 +69,8 @@ def _halves(run: RunSpectrum, names: tuple[str, str], settings: DataTestSettings
     return [first, replace(first, channels=periods[-half:].mean(axis=0))]
 
 
-def _noise_of_period(periods: ComplexArray) -> tuple[ComplexArray, float]:
-    """Covariance (k, 2, 2) of one period (P, k, 2) and its dof, from differences of successive ones.
+def noise_of_period(periods: ComplexArray) -> tuple[ComplexArray, float]:
+    """Covariance (k, c, c) of one period (P, k, c) and its dof, from differences of successive ones.
 
     A drift hardly enters them. Overlapping differences of white noise have two thirds of the degrees of freedom of
     their number (von Neumann, Ann. Math. Stat. 12 (1941) 367).
