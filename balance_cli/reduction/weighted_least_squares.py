@@ -116,7 +116,7 @@ def solve_loads(
     total = tested_noise + response_error
     covariance = noise_covariance + G @ response_error @ np.swapaxes(G, 1, 2)
     chi2 = residual_chi2(T, y[:, :, None], total)[:, 0]
-    share = np.trace(np.linalg.solve(total, tested_noise), axis1=1, axis2=2) / a
+    share = _noise_share(T, tested_noise, total)
     degrees = np.full(len(T), float(a - b))
     bias, limit = _residual_test_limit(share, dof, a - b, few)
     per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
@@ -146,10 +146,27 @@ def _propagate(G: Array, covariance: Array) -> Array:
 
 
 def residual_chi2(T: Array, readings: Array, total: Array) -> Array:
-    """Return the least chi-square (h, s) that any loads leave of s readings (h, a, s), by their covariance `total`."""
-    G, _ = _weighted_inverse(T, total)
-    residual = readings - T @ (G @ readings)
-    return np.asarray(np.einsum("has,has->hs", residual, np.linalg.solve(total, residual)))
+    """Return the least chi-square (h, s) that any loads leave of s readings (h, a, s), by their covariance `total`.
+
+    It is that of the directions that no load reaches. A covariance from fewer lines than channels is singular, and
+    regular in these directions alone.
+    """
+    N = _redundant_directions(T)
+    residual = N @ readings
+    covariance = N @ total @ np.swapaxes(N, 1, 2)
+    return np.asarray(np.einsum("has,has->hs", residual, np.linalg.solve(covariance, residual)))
+
+
+def _redundant_directions(T: Array) -> Array:
+    """Return the orthonormal rows N (h, a - b, a) with N T = 0."""
+    return np.asarray(np.swapaxes(np.linalg.qr(T, mode="complete").Q[:, :, T.shape[2] :], 1, 2))
+
+
+def _noise_share(T: Array, noise: Array, total: Array) -> Array:
+    """Return the share (h,) of the noise in the covariance `total` of the redundant directions."""
+    N = _redundant_directions(T)
+    noise, total = (N @ part @ np.swapaxes(N, 1, 2) for part in (noise, total))
+    return np.asarray(np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / max(N.shape[1], 1))
 
 
 def _estimated_weights_factor(dof: Array, degrees: int) -> Array:

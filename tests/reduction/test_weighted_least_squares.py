@@ -153,3 +153,20 @@ def test_condition_is_the_same_in_every_unit_of_the_moments():
 
     in_millimeters = np.array([1.0, 1e-3])
     assert condition(T * in_millimeters, in_millimeters) == pytest.approx(condition(T, np.ones(2)))
+
+
+def test_noise_of_fewer_lines_than_channels_tests_the_redundant_direction():
+    """The covariance is singular there, as that of nine channels from three lines; it had rejected every record."""
+    rng = np.random.default_rng(11)
+    h, dof = 2000, 3
+    T, root, f = problem(rng, harmonics=h, channels=7)
+    draws = rng.standard_normal((2, h, dof, 7)) / np.sqrt(2)
+    samples = (draws[0] + 1j * draws[1]) @ root.T
+    estimated = circular_real(np.einsum("hdi,hdj->hij", samples, samples.conj()) / dof)
+    weights = np.broadcast_to(np.eye(14), (h, 14, 14))
+    known = np.full(h, float(dof))
+    y = draw(rng, T, root, f)
+    found = solve_loads(stacked_real(T), y, estimated, known, lambda loads: 0.0 * estimated, np.ones(12), weights)
+    assert np.all(found.redundancy_chi2 >= 0.0)
+    assert np.mean(found.misfit) == pytest.approx(0.001, abs=0.002)
+    assert np.mean(found.redundancy_chi2) == pytest.approx(1.0, abs=0.15)
