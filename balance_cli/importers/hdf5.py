@@ -23,6 +23,7 @@ from balance_cli.importers.matrices import scalar_of
 from balance_cli.importers.time_columns import TIME_NAME
 from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
+from balance_cli.io.hdf5_links import keeps_values_elsewhere
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.sniff import HDF5_SIGNATURE, attribute_text
 
@@ -86,6 +87,8 @@ def _list_datasets(path: Path) -> tuple[list[_Listed], dict[str, float], str | N
     scalars: dict[str, float] = {}
 
     def visit(name: str, item: Any) -> None:
+        if keeps_values_elsewhere(item):
+            raise UserError("has its values in another file", place=name, remedy="Write them into this file")
         if isinstance(item, h5py.Dataset) and not name.startswith(MATLAB_HIDDEN) and len(listed) < MOST_DATASETS:
             _add(name, item, listed, scalars)
 

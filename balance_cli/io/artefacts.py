@@ -24,6 +24,7 @@ from balance_cli import __version__
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import ARTEFACT_FORMATS
+from balance_cli.io.hdf5_links import refuse_other_files
 from balance_cli.io.hdf5_output import Hdf5Output
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.reader_process import read_in_child
@@ -152,6 +153,10 @@ def read_stored(path: Path) -> StoredArtefact:
     with _damage_as_user_error(path), h5py.File(path, "r") as file:
         attributes = {name: attribute_text(str(value)) or "" for name, value in file.attrs.items()}
         provenance = _read_provenance(attributes)
+        try:
+            refuse_other_files(file, "content")
+        except UserError as error:
+            raise error.with_location(file=str(path)) from error
         stored = StoredArtefact(attributes["format"], read_tree(file["content"]), provenance, attributes["digest"])
         computed = _artefact_digest(stored.format, stored.tree, provenance)
     if computed != stored.digest:

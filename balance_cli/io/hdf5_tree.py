@@ -23,6 +23,7 @@ import h5py
 import numpy as np
 from pydantic import BaseModel
 
+from balance_cli.io.hdf5_links import keeps_values_elsewhere
 from balance_cli.io.text_output import storable_text
 
 Tree = dict[str, Any]
@@ -241,6 +242,8 @@ def _read_group(group: h5py.Group, ancestors: dict[Any, str], size: list[int]) -
 
 def require_stored_values(dataset: h5py.Dataset) -> int:
     """Return the bytes that a dataset declares. Raises ValueError where what is stored cannot be so many."""
+    if keeps_values_elsewhere(dataset):
+        raise ValueError(f"{dataset.name} has its values in another file")
     declared, stored = dataset.nbytes if dataset.shape is not None else 0, dataset.id.get_storage_size()
     if declared > LARGEST_DEFLATION * (stored + COMPRESSION_THRESHOLD):
         raise ValueError(f"{dataset.name} declares {declared} bytes, of which {stored} are stored")

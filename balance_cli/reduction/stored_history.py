@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import HISTORY_FORMAT
+from balance_cli.io.hdf5_links import refuse_other_files
 from balance_cli.io.hdf5_tree import require_stored_values
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.result_view import ResultView
@@ -63,10 +64,13 @@ def read_history(path: Path) -> StoredHistory:
     try:
         with h5py.File(path, "r") as file:
             for name in DATASETS:
+                refuse_other_files(file, name)
                 require_stored_values(file[name])
             time, loads, sigma = (np.asarray(file[name][()], float) for name in DATASETS)
             run = attribute_text(file.attrs.get("run")) or path.stem
             has_mean = "mean" not in file.attrs
+    except UserError as error:
+        raise error.with_location(file=str(path)) from error
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
         fault = f"is no sound `{HISTORY_FORMAT}` file ({error})"
         raise UserError(fault, str(path), remedy="Reduce the run again with --history") from error

@@ -22,6 +22,7 @@ from balance_cli.campaign.recording.additions import (
 )
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE
 from balance_cli.io.errors import UserError
+from balance_cli.io.hdf5_links import refuse_other_files
 from balance_cli.io.sniff import attribute_text
 
 AZIMUTH_ERROR = "azimuth_error_deg"
@@ -69,12 +70,14 @@ def _azimuth_error(value: Any) -> float:
 
 def _is_empty(file: h5py.File, name: str) -> bool:
     """Whether there is nothing in a dataset, or no dataset."""
+    refuse_other_files(file, name)
     dataset = file.get(name)
     return dataset is None or (isinstance(dataset, h5py.Dataset) and not dataset.size)
 
 
 def _numbers(file: h5py.File, name: str) -> Any:
     """A dataset of real numbers."""
+    refuse_other_files(file, name)
     dataset = file.get(name)
     if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "iuf":
         raise UserError("is missing, or no dataset of real numbers", place=name, remedy="Add it, or remove its group")

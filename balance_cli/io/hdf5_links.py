@@ -1,0 +1,39 @@
+"""HDF5 objects that lie in another file: a file from elsewhere could show any file that the user may read."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from typing import Any
+
+import h5py
+
+from balance_cli.io.errors import UserError
+
+SAME_FILE = "."
+"""Name of the source file of a virtual dataset that lies in the file itself."""
+
+
+def refuse_other_files(file: h5py.File, name: str) -> None:
+    """Raise UserError where a name leads to another file: by an external link, external storage or a virtual dataset.
+
+    Links on the way are looked at before they are followed. A name that leads nowhere is no fault here.
+    """
+    parents = accumulate(name.split("/"), lambda path, part: f"{path}/{part}")
+    if any(isinstance(file.get(path, getlink=True), h5py.ExternalLink) for path in parents):
+        raise _other_file_error(name)
+    item = file.get(name)
+    if item is not None and (item.file.filename != file.filename or keeps_values_elsewhere(item)):
+        raise _other_file_error(name)
+
+
+def keeps_values_elsewhere(item: Any) -> bool:
+    """Whether an object is a dataset whose values are in other files."""
+    if not isinstance(item, h5py.Dataset):
+        return False
+    if item.is_virtual:
+        return any(source.file_name != SAME_FILE for source in item.virtual_sources())
+    return bool(item.external)
+
+
+def _other_file_error(name: str) -> UserError:
+    return UserError("is in another file", place=name, remedy="Write it into this file")
