@@ -225,7 +225,7 @@ def _read_group(group: h5py.Group, ancestors: dict[Any, str], size: list[int]) -
     """The tree of a group; `ancestors` are the groups that contain it, `size` the bytes so far."""
     tree: Tree = {}
     for name in group:
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink) or keeps_values_elsewhere(group[name]):
             raise ValueError(f"{group.name}/{name} is a link to elsewhere")
         item = group[name]
         if isinstance(item, h5py.Group):
@@ -242,8 +242,6 @@ def _read_group(group: h5py.Group, ancestors: dict[Any, str], size: list[int]) -
 
 def require_stored_values(dataset: h5py.Dataset) -> int:
     """Return the bytes that a dataset declares. Raises ValueError where what is stored cannot be so many."""
-    if keeps_values_elsewhere(dataset):
-        raise ValueError(f"{dataset.name} has its values in another file")
     declared, stored = dataset.nbytes if dataset.shape is not None else 0, dataset.id.get_storage_size()
     if declared > LARGEST_DEFLATION * (stored + COMPRESSION_THRESHOLD):
         raise ValueError(f"{dataset.name} declares {declared} bytes, of which {stored} are stored")
@@ -255,8 +253,6 @@ def _value(dataset: h5py.Dataset) -> Any:
     value = dataset.asstr()[()] if text and dataset.shape is not None else dataset[()]
     if isinstance(value, h5py.Empty):
         return None
-    if isinstance(value, np.ndarray):
-        return value
     return value.item() if isinstance(value, np.generic) else value
 
 
