@@ -8,8 +8,10 @@ import pytest
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.selection import effect_selection
 from balance_cli.diagnosis.selection.effect_selection import narrow_places, refit_without_effect
+from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import declared_effects
@@ -85,3 +87,24 @@ def test_a_refit_without_an_effect_is_made_once_for_a_fit_its_lines_and_settings
     others = [replace(batch) for batch in batches]
     assert refit_without_effect(fit, support, others, coarse) is not first
     assert len(fits) == 3
+
+
+def test_an_effect_that_a_stopped_fit_left_off_its_null_is_needless():
+    """Forty sigma from the null, where the fit stopped: its minimum is at the null all the same."""
+    rig = rotor_balance()
+    batches = stack_runs([noisy_lines(rig, np.random.default_rng(5), ("Fx", "My", "Fz"))], [], rig.channel_names)
+    gain = DeclaredEffect(name="channel-gain", where=("x.strain",), parameters={"gain": 1.0})
+    model = balance_model(rig.model_copy(update={"effects": (gain,)}))
+    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    (effect,) = declared_effects(model.geometry)
+    (item,) = effect.parameters
+    place = model.parameters.index(effect.full_name(item))
+    variance = np.diag(covariance_from_information(fit.minimum.total.information))
+    moved = fit.theta.copy()
+    moved[place] = 1.0 + 40.0 * np.sqrt(variance[np.flatnonzero(model.parameters.free) == place][0])
+    stopped = fit_all_lines(model, moved, batches, SETTINGS.fit, 0)
+    assert not stopped.minimum.converged
+    as_it_stands = replace(stopped, minimum=replace(stopped.minimum, converged=True))
+    assert effect_wald_statistic(as_it_stands, effect)[0] > 1000.0
+    assert effect_wald_statistic(stopped, effect)[0] == pytest.approx(effect_wald_statistic(fit, effect)[0], abs=2.0)
+    assert effect_wald_statistic(fit, effect)[0] < 10.0
