@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
+from balance_cli.signals.local.misfit import missed_response_power
 from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models
 from balance_cli.signals.local.scaled_spectrum import local_power, record_spectrum
 from balance_cli.signals.local.window import design_pseudoinverse, pole_uncertainty, response_rows
@@ -60,8 +61,8 @@ def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[
     """Factors (k, c, c) of the channels and (k, u, u) of the loads of the covariance at the lines `lines` (k,).
 
     The response at a line is a weighted sum over the outputs of its window. Its covariance is the same sum over their
-    noise, plus the contribution of the uncertainty of the poles. With several inputs the weights differ from input to
-    input; the factor of the channels uses their mean.
+    noise, plus the contribution of the uncertainty of the poles, plus what the model misses of the response. With
+    several inputs the weights differ from input to input; the factor of the channels uses their mean.
     """
     c, u = models.response.shape[1:]
     channels, loads = np.zeros((len(lines), c, c), complex), np.zeros((len(lines), u, u), complex)
@@ -78,6 +79,10 @@ def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[
         if fit.orders.denominator:
             shift = pole_uncertainty(fit, r, noise)
             channels[assigned] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
+        missed = missed_response_power(fit, slice(*(models.assigned_lines[w] - start)), noise)
+        if missed.any():
+            variance = np.diagonal(loads[assigned], axis1=1, axis2=2).real
+            channels[assigned] += (missed / variance[:, None, :]).mean(axis=2)[:, :, None] * np.eye(c)
     return channels, loads
 
 

@@ -76,8 +76,8 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
     frequency = np.arange(1, len(Z) + 1) * sample_rate(run) / run.samples
     c = len(channel_names)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    share = IMPACT_POWER_SHARE if run.excitation == IMPACT else LEAST_POWER_SHARE
-    excited = has_power(Z[:, c:], share) & inside
+    is_hammer = run.excitation == IMPACT
+    excited = inside & (has_power(Z[:, c:], IMPACT_POWER_SHARE) if is_hammer else is_within_power(applied))
     if np.count_nonzero(excited) < RATIONAL_LINES:
         raise run_error(run, "the record is too short, or its loads too narrow in frequency", "Record for longer")
     if np.median(load_independence(local_power(Z[excited, c:]))) < LEAST_INDEPENDENCE:
@@ -128,6 +128,25 @@ def has_power(loads: ComplexArray, share: float = LEAST_POWER_SHARE) -> NDArray[
     power = window_sums(np.abs(loads) ** 2, width)
     strong = np.quantile(power, 0.95, axis=0)
     return np.asarray(np.any(power > share * np.maximum(strong, 1e-300), axis=1))
+
+
+def is_within_power(samples: Array) -> NDArray[np.bool_]:
+    """Return whether (K,) some load (n, u) has power on both sides of each line of its record but frequency zero.
+
+    Each within half a window: a response is interpolated there. Beyond the band of the loads it would be extrapolated, and
+    the lines of a record that does not repeat do not show where that ends, because they leak. Those of the record under
+    half a sine do not, and even the first and last thousandths of a sweep are seen in them.
+    """
+    n = len(samples)
+    taper = np.sin(np.pi * (np.arange(n) + 0.5) / n)
+    power = np.abs(np.fft.rfft(samples * taper[:, None], axis=0)[1 : (n + 1) // 2]) ** 2
+    width = min(RATIONAL_LINES // 2, len(power))
+    total = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(power, axis=0)])
+    line = np.arange(len(power))
+    below = total[line + 1] - total[np.maximum(line + 1 - width, 0)]
+    above = total[np.minimum(line + width, len(power))] - total[line]
+    strong = np.maximum(np.quantile(window_sums(power, width), 0.95, axis=0), 1e-300)
+    return np.asarray(np.any(np.minimum(below, above) > LEAST_POWER_SHARE * strong, axis=1))
 
 
 def local_power(loads: ComplexArray) -> ComplexArray:
