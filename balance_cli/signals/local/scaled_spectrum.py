@@ -133,9 +133,9 @@ def has_power(loads: ComplexArray, share: float = LEAST_POWER_SHARE) -> NDArray[
 def is_within_power(samples: Array) -> NDArray[np.bool_]:
     """Return whether (K,) some load (n, u) has power on both sides of each line of its record but frequency zero.
 
-    Each within half a window: a response is interpolated there. Beyond the band of the loads it would be extrapolated, and
-    the lines of a record that does not repeat do not show where that ends, because they leak. Those of the record under
-    half a sine do not, and even the first and last thousandths of a sweep are seen in them.
+    Each within half a window: a response is interpolated there. Beyond the band of the loads it would be extrapolated,
+    and the lines of a record that does not repeat do not show where that ends, because they leak. Those of the record
+    under half a sine do not, and even the first and last thousandths of a sweep are seen in them.
     """
     n = len(samples)
     taper = np.sin(np.pi * (np.arange(n) + 0.5) / n)
