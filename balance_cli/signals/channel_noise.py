@@ -21,6 +21,8 @@ LOAD_FREE_CUTOFF_FACTOR = 1.6
 """Multiple of the cutoff of the anti-alias filter above which only noise is expected: six poles leave 6 % of a load."""
 LOAD_FREE_NYQUIST_SHARE = 0.9
 """Share of the Nyquist frequency above which bins count as free of loads where the filter leaves none free."""
+LOAD_FREE_BINS = 5
+"""Bins above all loads that a record of a third of a window's length has in one longer window."""
 BLOCK_SAMPLES = 32768
 """Samples that are read at a time: 4 MB of 15 channels."""
 
@@ -74,7 +76,10 @@ def channel_noise(clean_record: CleanRecord, acquisition: Acquisition) -> Array:
 def row_noise(rows: Real, sample_rate: float, acquisition: Acquisition) -> Array:
     """Return the same, in the square of their unit, of one stretch of rows (c, m), in their precision."""
     lowest = _lowest_load_free_frequency(acquisition, 0.5 * sample_rate)
-    return noise_variance_above(lowest, [rows], 1.0 / sample_rate, _window(WINDOW_TIME * sample_rate, rows.shape[1]))
+    window, samples = _window(WINDOW_TIME * sample_rate, rows.shape[1]), rows.shape[1]
+    if window * (0.5 - lowest / sample_rate) < MAIN_LOBE + 2:  # no bin between the loads and the main lobe at the end
+        window = min(samples, int(np.ceil((MAIN_LOBE + LOAD_FREE_BINS) / (0.5 - lowest / sample_rate))))
+    return noise_variance_above(lowest, [rows], 1.0 / sample_rate, window)
 
 
 def _lowest_load_free_frequency(acquisition: Acquisition, nyquist: float) -> float:
