@@ -16,10 +16,11 @@ from balance_cli.signals.early_taps import prepend_rest
 from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
 from balance_cli.signals.nyquist_noise import RunNoise, UsualNoise, measure_nyquist_noise, usual_noise
-from balance_cli.signals.periodic import has_whole_periods, periodic_spectrum
+from balance_cli.signals.periodic import has_whole_periods, periodic_record
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from balance_cli.signals.single_force import single_force
 from balance_cli.signals.static_noise import static_points
+from balance_cli.signals.transient_decay import FEWEST_PERIODS
 from balance_cli.signals.waveforms import (
     add_channel_shares,
     append_mean_and_waveform,
@@ -61,7 +62,8 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
     """Compute lines of every sweep and points of every static run; all other runs are listed as unused.
 
     A static run with too few rows to estimate its own noise is unused too: the sweeps suffice without it. Periodic
-    records give the lines of their steady periods; others the independent lines of a local rational model. With `means`
+    records give the lines of their steady periods; others, and two periods with a transient, the independent lines of a
+    local rational model. With `means`
     (by default, where an effect of the geometry needs them) records also give their means and waveforms, and static
     runs the nonlinear part of their rows. Raises UserError where a run has no usable channel.
     """
@@ -99,9 +101,10 @@ def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, m
     force = single_force(run)
     if force is not None:
         return force.expand(_sweep_lines(force.run, channel_names, geometry, means))
-    if has_whole_periods(run):
-        lines = periodic_spectrum(run, channel_names)
-        return append_mean_and_waveform(run, lines, geometry) if means else lines
+    record = periodic_record(run, channel_names) if has_whole_periods(run) else None
+    # The model itself describes what three and more periods contain of a transient; two do not tell its noise.
+    if record is not None and not (record.rings and record.periods < FEWEST_PERIODS):
+        return append_mean_and_waveform(run, record.spectrum, geometry) if means else record.spectrum
     if means:
         return nonperiodic_spectrum_with_waveform(run, channel_names, geometry)
     return nonperiodic_spectrum(run, channel_names)

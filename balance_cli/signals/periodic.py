@@ -16,7 +16,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, variance_floor
 from balance_cli.signals.line_covariance import LineCovariance, pool_scatter
-from balance_cli.signals.periodic_transient import find_steady_start
+from balance_cli.signals.periodic_transient import SteadyStart, find_steady_start
 from balance_cli.signals.run_samples import (
     channel_columns,
     load_columns,
@@ -26,7 +26,13 @@ from balance_cli.signals.run_samples import (
     sample_rate,
 )
 from balance_cli.signals.run_spectrum import RunSpectrum
-from balance_cli.signals.transient_decay import FEWEST_PERIODS, deviations_from_decay, transient_covariance
+from balance_cli.signals.transient_decay import (
+    FEWEST_PERIODS,
+    LEAST_INFORMATION,
+    deviations_from_decay,
+    information_beside_transient,
+    transient_covariance,
+)
 from balance_cli.signals.waveform_types import AnalysisWindow
 
 __all__ = [
@@ -59,7 +65,8 @@ class PeriodicRecord:
     `period` [s] is the length of a period, a multiple of the declared one where that is not a whole number of samples;
     the record has `periods` of them. `first` (k,) is the first steady period of each line (0 is that of the record).
     From `start` to `stop` [s] every line is steady. `steady` says whether a test found so; otherwise the last two
-    periods were used because there are no more.
+    periods were used because there are no more. `rings` says whether the transient in them takes most of the
+    information of the lines; of a single load, a local model of the whole record then says more.
     """
 
     spectrum: RunSpectrum
@@ -69,6 +76,7 @@ class PeriodicRecord:
     start: float
     stop: float
     steady: bool
+    rings: bool
 
 
 def periodic_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> RunSpectrum:
@@ -87,21 +95,17 @@ def periodic_record(
     `inverse_bias_factor(dof, n)`, n = channels + components. Raises UserError where the run has no period, fewer than
     two whole periods, or no line that repeats.
     """
-    samples = samples_per_period(run)
+    c, samples = len(channel_names), samples_per_period(run)
     spectra, number, components = _period_spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
     start = find_steady_start(spectra)
     mean, noise = _mean_and_noise(spectra, start.first)
-    total, left = noise.scaled(1.0 + start.bias), None
-    if len(spectra) >= FEWEST_PERIODS and not start.steady.all():
-        noise = pool_scatter(*deviations_from_decay(spectra), variance_floor(spectra))
-        noise = noise.scaled(1.0 / (len(spectra) - start.first))
-        left = transient_covariance(spectra, start)
+    total = noise.scaled(1.0 + start.bias)
+    noise, left, information = _beside_transient(spectra, start, mean, noise, c)
     variance = total.variance if left is None else total.variance + np.einsum("kss->ks", left).real
     excited = _excited_lines(mean, variance, len(components))
     selected = _select_lines(run, excited, frequency, band)
     inputs = _input_columns(components, excited[selected], run.excited)
-    c = len(channel_names)
     signals = np.array([*range(c), *(c + i for i in inputs)])
     covariance = total.at(selected, signals)
     lines = RunSpectrum(
@@ -121,7 +125,8 @@ def periodic_record(
         periods=spectra[:, selected, :c],
     )
     steady = bool(np.all(start.steady[selected]))
-    return _periodic_record_of(run, lines, spectra, samples, start.first[selected], steady)
+    rings = len(inputs) == 1 and information < LEAST_INFORMATION
+    return _periodic_record_of(run, lines, spectra, samples, start.first[selected], steady, rings)
 
 
 def has_whole_periods(run: Run) -> bool:
@@ -192,6 +197,24 @@ def _mean_and_noise(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray,
     return mean, pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra)).scaled(1.0 / m)
 
 
+def _beside_transient(
+    spectra: ComplexArray, start: SteadyStart, mean: ComplexArray, noise: LineCovariance, c: int
+) -> tuple[LineCovariance, ComplexArray | None, float]:
+    """Noise of the mean without the transient of periods that are not steady, the square of that transient in the mean
+    (K, n, n), and the share of the information of the c channels beside it; without a transient `noise`, None and one.
+    """
+    if start.steady.all():
+        return noise, None, 1.0
+    beside = pool_scatter(*deviations_from_decay(spectra), variance_floor(spectra))
+    beside = beside.scaled(1.0 / (len(spectra) - start.first))
+    left = transient_covariance(spectra, start)
+    information = information_beside_transient(mean[:, :c], beside.variance[:, :c], left[:, :c, :c])
+    # Two periods tell no decay: if they differ by noise alone, there is nothing to be taken out.
+    if len(spectra) < FEWEST_PERIODS and information >= LEAST_INFORMATION:
+        return noise, None, 1.0
+    return beside, left, information
+
+
 def _excited_lines(mean: ComplexArray, variance: Array, inputs: int) -> NDArray[np.bool_]:
     """Whether (K, u) a load exceeds its noise by far, and is not small beside its strongest line.
 
@@ -233,7 +256,7 @@ def _analysis_window(
 
 
 def _periodic_record_of(
-    run: Run, lines: RunSpectrum, spectra: ComplexArray, samples: int, first: Counts, steady: bool
+    run: Run, lines: RunSpectrum, spectra: ComplexArray, samples: int, first: Counts, steady: bool, rings: bool
 ) -> PeriodicRecord:
     rate = sample_rate(run)
     periods = len(spectra)
@@ -246,4 +269,5 @@ def _periodic_record_of(
         start=(offset + int(first.max()) * samples) / rate,
         stop=run.samples / rate,
         steady=steady,
+        rings=rings,
     )

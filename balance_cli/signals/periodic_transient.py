@@ -69,7 +69,7 @@ class _BandStatistic:
 def find_steady_start(spectra: ComplexArray) -> SteadyStart:
     """Find the first steady period of each line; spectra (P, K, n) of P >= 2 consecutive periods.
 
-    The statistic is the squared difference of consecutive periods, weighted by the noise of the last ones: chi-square
+    The statistic is the squared difference of consecutive periods, weighted by the noise of the last one: chi-square
     distributed if only noise differs. A band is unsteady up to the last significant difference (`FALSE_ALARM` for the
     whole record), and then until the decay up to there has reduced the expected squared bias of the mean below
     `LARGEST_BIAS` of its variance (`LARGEST_BIAS_OF_SIGNAL` in each signal).
@@ -91,11 +91,8 @@ def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatis
     """Return the statistics of all signals together in narrow bands, and of each by itself in wide ones."""
     difference = np.diff(spectra, axis=0)
     K, n = spectra.shape[1:]
-    late = difference[-2:]
-    # Two consecutive differences have the correlation -1/2 and count as 2 / (1 + 1/4) = 1.6 independent ones.
-    counts = np.full(K, 1.6 if len(late) == 2 else 1.0)
-    deviations = late.swapaxes(0, 1) * np.sqrt(counts[0] / len(late))
-    noise = pooled_covariance(deviations, counts, floor=2.0 * variance_floor(spectra))
+    # The last difference alone: a transient in the one before would pass for noise, which then hides it.
+    noise = pooled_covariance(difference[-1:].swapaxes(0, 1), np.ones(K), floor=2.0 * variance_floor(spectra))
     joint_power = noise.distances(difference.swapaxes(0, 1)).T[:, :, None] / n
     variance = np.diagonal(noise.knots, axis1=1, axis2=2).real[noise.nearest]
     signal_power = (difference.real**2 + difference.imag**2) / variance

@@ -81,8 +81,17 @@ def _measure_sweep(
     force = single_force(run)
     if force is not None:
         return _point_force(force, channel_names, estimator, band)
+    return _measure_hub_loads(run, channel_names, estimator, band)
+
+
+def _measure_hub_loads(
+    run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]
+) -> PeriodicRecord | FrequencyResponse:
+    """The lines of a periodic record, or the response of one that does not repeat or never stops ringing."""
     if _is_periodic(run, estimator):
-        return periodic_record(run, channel_names, band)
+        record = periodic_record(run, channel_names, band)
+        if estimator == PERIODIC or not record.rings:
+            return record
     return _nonperiodic_response(run, channel_names, estimator, band)
 
 
@@ -90,10 +99,8 @@ def _point_force(
     force: SingleForce, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]
 ) -> PointForce:
     """The response to a force at a point, by the load to which its multiples refer."""
-    if _is_periodic(force.run, estimator):
-        response = joint_response([periodic_record(force.run, channel_names, band)])
-    else:
-        response = _nonperiodic_response(force.run, channel_names, estimator, band)
+    measured = _measure_hub_loads(force.run, channel_names, estimator, band)
+    response = joint_response([measured]) if isinstance(measured, PeriodicRecord) else measured
     return PointForce(response, force.multiples)
 
 

@@ -9,6 +9,7 @@ from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.io.errors import UserError
 from balance_cli.signals import covariance_pooling
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, pooled_covariance
+from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.periodic import periodic_record, periodic_spectrum, samples_per_period
 from balance_cli.signals.periodic_transient import find_steady_start
 from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, chi2_per_dof, near_mode
@@ -226,3 +227,27 @@ def test_sigma_contains_the_transient_of_a_record_that_does_not_settle():
         ratios.append(np.mean(np.abs(error) ** 2 / variance, axis=1))
     assert np.median(ratios) > 0.15
     assert np.mean(np.concatenate(ratios) > 4.0) < 0.05
+
+
+def test_the_transient_in_the_first_of_three_periods_is_not_noise():
+    """Three periods of 8 s from rest: the first one alone has the transient."""
+    record = periodic_record(RIG.multisine(period=8.0, periods=3), RIG.names)
+    assert np.mean(record.first == 1) > 0.9
+    assert np.median(chi2_per_dof(RIG, record.spectrum)) == pytest.approx(1.0, abs=0.3)
+    # Of the mean of two periods of 8 s; it was 60 times as large.
+    variance = np.diagonal(record.spectrum.covariance, axis1=1, axis2=2).real[:, 0]
+    assert np.median(variance) == pytest.approx(2.0 * NOISE**2 / (8.0 * RIG.rate), rel=0.3)
+
+
+@pytest.mark.parametrize(("periods", "spin_up", "rings"), [(2, 0, True), (2, 5, False), (4, 0, False)])
+def test_two_periods_from_rest_ring(periods, spin_up, rings):
+    assert periodic_record(RIG.multisine(period=4.0, periods=periods, spin_up=spin_up), RIG.names).rings is rings
+
+
+def test_two_periods_from_rest_give_the_lines_of_a_record_that_does_not_repeat():
+    """Their difference is mostly transient: as noise it would hide what the record says."""
+    run = RIG.multisine(period=4.0, periods=2)
+    local = nonperiodic_record(run, RIG.names).spectrum
+    assert np.median(chi2_per_dof(RIG, local)) == pytest.approx(1.0, abs=0.4)
+    # Between the lines that were excited the load is zero: no response is computed there.
+    assert np.abs(local.loads[:, 0]).min() > 0.005 * np.abs(local.loads[:, 0]).max()

@@ -67,7 +67,7 @@ def before_filter(run, frequency, geometry):
 def test_the_mean_of_a_record_is_as_uncertain_as_it_scatters(flicker):
     """Noise of two steady periods, white and 1/f of the same size; the mean is that of the noise alone."""
     geometry, rng = rotor_balance(), np.random.default_rng(5)
-    plan = SweepPlan(run="sweep", excited=("Fz",), level=(80.0,), period=0.5, periods=8, band=(4.0, 150.0))
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(80.0,), period=0.5, periods=40, band=(4.0, 150.0))
     clean = simulate_run(true_rig(geometry), plan, Noise().scale_by(0.0), seed=1)[0]
     block, n = clean.read(clean.samples - 800), 800
     direct = np.array([channel.measures_dc for channel in geometry.channels])

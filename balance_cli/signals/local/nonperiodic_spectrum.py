@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.local.models import LocalModels, fit_local_models
-from balance_cli.signals.local.scaled_spectrum import record_spectrum
+from balance_cli.signals.local.scaled_spectrum import LEAST_POWER_SHARE, record_spectrum
 from balance_cli.signals.local.window import design_matrix, design_pseudoinverse, poles, response_rows
 from balance_cli.signals.run_samples import run_error, sample_rate
 from balance_cli.signals.run_spectrum import RunSpectrum
@@ -31,6 +31,8 @@ GROUP_WINDOW_SHARE = 0.1
 """Greatest width of a group over that of its window, within which the polynomials are well determined."""
 LEAST_GROUP_SIGNAL_TO_NOISE = 10.0
 """Amplitude of the largest load of a group over its noise; as for the lines of periodic records."""
+LEAST_SHARE_OF_STRONG = float(np.sqrt(LEAST_POWER_SHARE))
+"""Amplitude of a load in a group over that where the load is strong; as for the lines at which it counts as excited."""
 CENTRAL_SHARE = 0.5
 """Part of the half-width of a window that is used; its polynomials err most toward the ends."""
 
@@ -83,8 +85,7 @@ def nonperiodic_record(
     """
     models = fit_local_models(record_spectrum(run, channel_names, band))
     groups = [group for w in range(len(models.fit)) for group in _line_groups(models, w)]
-    noise = models.noise.loads
-    groups = [group for group in groups if _exceeds_noise(group.loads, noise)]
+    groups = _excited_groups(groups, models.noise.loads)
     if not groups:
         raise run_error(run, "the loads exceed their noise at no line", "Excite more strongly", "loads")
     u = models.spectrum.loads.shape[1]
@@ -158,10 +159,17 @@ def _relative_noise_power(rows: ComplexArray, noise: ComplexArray, reference: Co
     return np.asarray(np.trace(np.linalg.solve(reference, summed), axis1=1, axis2=2).real / len(reference))
 
 
-def _exceeds_noise(loads: ComplexArray, noise: ComplexArray) -> bool:
-    """Whether some load of the group exceeds its noise by far."""
-    amplitude = np.sqrt(np.sum(np.abs(loads) ** 2, axis=0))
-    return bool(np.any(amplitude > LEAST_GROUP_SIGNAL_TO_NOISE * np.sqrt(np.diagonal(noise).real)))
+def _excited_groups(groups: Sequence[_Experiments], noise: ComplexArray) -> list[_Experiments]:
+    """The groups in which some load exceeds its noise by far, and is no side effect of the excitation of other lines.
+
+    Between the lines of a multisine that is not declared as periodic a load has power around a line, but none at it.
+    """
+    if not groups:
+        return []
+    amplitude = np.sqrt([np.sum(np.abs(group.loads) ** 2, axis=0) for group in groups])
+    strong = np.quantile(amplitude, 0.95, axis=0)
+    least = np.maximum(LEAST_GROUP_SIGNAL_TO_NOISE * np.sqrt(np.diagonal(noise).real), LEAST_SHARE_OF_STRONG * strong)
+    return [group for group, excited in zip(groups, np.any(amplitude > least, axis=1), strict=True) if excited]
 
 
 def _to_run_spectrum(models: LocalModels, groups: Sequence[_Experiments]) -> RunSpectrum:
