@@ -102,7 +102,7 @@ class ZeroDrift:
         if self.contacts is None:
             return "zeros"
         where = " and ".join(self.contacts.places)
-        return f"zeros, or means by what the contact at {where} holds at rest ({self.contacts.share:.0%} of it),"
+        return f"zeros, or means by what the contact at {where} holds at rest ({self.contacts.share:.0%} of it)"
 
     @property
     def _sizes(self) -> str:
