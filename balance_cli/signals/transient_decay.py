@@ -63,8 +63,8 @@ def information_beside_transient(mean: ComplexArray, variance: Array, left: Comp
     width = min(DECAY_LINES, len(left))
     square = window_sums(np.einsum("kss->ks", left).real, width) / width
     variance = np.maximum(variance, np.finfo(float).tiny)
-    information = np.abs(mean) ** 2 / variance
-    return float(np.sum(information * variance / np.maximum(square, variance)) / np.sum(information))
+    power = np.abs(mean) ** 2
+    return float(np.sum(power / np.maximum(square, variance)) / np.sum(power / variance))
 
 
 def transient_covariance(spectra: ComplexArray, start: SteadyStart) -> ComplexArray:
