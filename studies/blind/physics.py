@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import fsolve
+from scipy.optimize import brentq
 from scipy.signal import butter, freqs
 
 from studies.blind.rigs import Rig, cell_rows, cross, eigen, mass_matrix
@@ -21,6 +21,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Steps of Runge-Kutta per radian of the highest mode: its error per step is below 1e-7.
 STEP_ANGLE = 0.12
+# Passes over the cells with nonlinear forces at rest: one cell takes two, several converge like a Gauss-Seidel method.
+MOST_SWEEPS = 200
 
 
 @dataclass(frozen=True)
@@ -195,13 +197,31 @@ def _law_forces(mechanics: Mechanics, d: Array, states: list[Array]) -> Array:
 
 
 def _elongations(mechanics: Mechanics, linear: Array, compliance: Array, states: list[Array]) -> Array:
-    """Elongations of the cells with nonlinear forces; `linear` are those without these forces."""
-    size = np.abs(linear).max() + np.finfo(float).tiny
+    """Elongations of the cells with nonlinear forces; `linear` are those without these forces.
 
-    def residual(x: Array) -> Array:
-        return np.asarray(x - (linear - compliance @ _law_forces(mechanics, size * x, states)) / size)
+    The forces grow with the elongation, so that the energy is convex: its minimum along one cell after the other
+    converges, and the force relieves each cell by less than it would without that relief. (Powell's method stopped at
+    the kinks of a contact, up to 2.6 % of the largest elongation off.)
+    """
+    cells = np.array([law.cell for law in mechanics.laws])
+    d = linear.copy()
+    for _ in range(MOST_SWEEPS):
+        before = d.copy()
+        for cell in dict.fromkeys(cells):
+            own = cells == cell
+            i = int(np.argmax(own))
+            f = _law_forces(mechanics, d, states)
+            free = float(linear[i] - compliance[i, ~own] @ f[~own])
 
-    return np.asarray(size * fsolve(residual, linear / size, xtol=1e-12))
+            def residual(x: float, own: Array = own, i: int = i, free: float = free) -> float:
+                f = _law_forces(mechanics, np.where(own, x, d), states)
+                return float(x - free + compliance[i, i] * f[own].sum())
+
+            reach = residual(free)
+            d[own] = free if reach == 0.0 else brentq(residual, free - 2 * reach, free, xtol=1e-13 * abs(reach))
+        if np.all(np.abs(d - before) <= 1e-12 * np.abs(d).max()):
+            return d
+    raise ArithmeticError("no equilibrium")
 
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:

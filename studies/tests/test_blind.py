@@ -9,9 +9,15 @@ from scipy.integrate import solve_ivp
 
 import balance_cli as bal
 from studies.blind import campaign
-from studies.blind.hidden import channel_gain, cubic_stiffness, gyroscopic_coupling, support_flexibility
+from studies.blind.hidden import (
+    channel_gain,
+    cubic_stiffness,
+    dry_friction,
+    gyroscopic_coupling,
+    support_flexibility,
+)
 from studies.blind.judge import blind_table, causes_of, load_errors
-from studies.blind.physics import linear_forces, nonlinear_forces, static_forces
+from studies.blind.physics import equilibria, linear_forces, nonlinear_forces, static_forces
 from studies.blind.records import true_rig
 from studies.blind.rigs import draw_declared, draw_true
 
@@ -64,6 +70,23 @@ def test_runge_kutta_steps_are_the_convolution_where_the_law_is_zero_and_hold_a_
     # The cells and the spring beside one of them carry the plate's load together.
     whole = mechanics.E.T @ forces + mechanics.E[law.cell] * law.force(np.array([d]), np.zeros(1))
     assert whole == pytest.approx(mechanics.B @ load, abs=1e-8 * np.abs(load).max())
+
+
+def test_a_rig_with_a_dry_contact_is_in_balance_at_every_static_load():
+    declared = draw_declared(np.random.default_rng([49, 1]))
+    truth = true_rig(draw_true(declared, np.random.default_rng([49, 2])))
+    mechanics = dry_friction(truth, np.random.default_rng([49, 5])).truth.mechanics
+    (law,) = mechanics.laws
+    loads = campaign.static_loads(declared, campaign.draw_size(declared, np.random.default_rng([49, 77])), 0.0)
+    elastic = mechanics.K + (mechanics.E.T * mechanics.stiffness) @ mechanics.E
+    rest, slider = equilibria(mechanics, loads), np.zeros(1)
+    for q, load in zip(rest, loads, strict=True):
+        d = mechanics.E[law.cell : law.cell + 1] @ q
+        force = law.force(d, slider)
+        assert elastic @ q + mechanics.E[law.cell] * force == pytest.approx(
+            mechanics.B @ load, abs=1e-9 * abs(loads).max()
+        )
+        slider = law.advance(d, slider)
 
 
 def test_a_small_campaign_is_identified_diagnosed_by_gain_and_reduced_within_its_intervals(tmp_path, monkeypatch):
