@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, errors_as_damage
+from balance_cli.importers.mat_elements import examine_elements
 from balance_cli.importers.matrices import matrix_group, scalar_of
 from balance_cli.io.errors import UserError
 
@@ -44,8 +45,11 @@ def _is_version_4(header: Any) -> bool:
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the variables; a matrix is read when its samples are."""
     from scipy.io import whosmat
+    from scipy.io.matlab import matfile_version
 
     with errors_as_damage():
+        if matfile_version(str(path))[0] == 1:
+            examine_elements(path)
         listed = whosmat(str(path))
     load = cache(lambda name: _load(path, name))  # a compressed variable can only be read whole
     groups: list[ChannelGroup] = []

@@ -1,6 +1,7 @@
 """MAT, HDF5, TDMS, MDF4, Parquet and WAV files, written by the packages that others use."""
 
 import struct
+import zlib
 from pathlib import Path
 
 import h5py
@@ -56,6 +57,29 @@ def test_matlab(tmp_path, version):
     assert np.array_equal(group.read([k], 100, 200)[:, 0], X[100:200, 1]) and channels["t"][0].samples == 5000
     assert version == "4" or np.array_equal(whole(channels["rec.force"][0]), X[:, :1])
     assert not any(name.startswith("word") for name in channels)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        ((9, 8 * len(X)), (60_000, 8 * len(X)), "data type 60000, which does not belong there"),
+        ((6, 8, 6), (6, 8, 255), "class 255, which does not exist"),
+        ((6, 8, 6), (6, 8, 0x806), "3 elements, where its class has 4"),  # complex without an imaginary part
+    ],
+)
+def test_what_no_matlab_file_has_is_refused_before_scipy_looks_it_up(tmp_path, compressed, before, after, fault):
+    path = tmp_path / "record.mat"
+    scipy.io.savemat(path, {"rec": {"force": X[:, :1]}}, do_compression=False)
+    content, sound = path.read_bytes(), struct.pack(f"<{len(before)}I", *before)
+    assert content.count(sound) == 1
+    damaged = content.replace(sound, struct.pack(f"<{len(after)}I", *after))
+    if compressed:
+        packed = zlib.compress(damaged[128:])
+        damaged = damaged[:128] + struct.pack("<II", 15, len(packed)) + packed
+    path.write_bytes(damaged)
+    with pytest.raises(UserError, match=fault):
+        open_foreign(path)
 
 
 def test_files_of_matlab_in_scipy_are_read_or_refused():
