@@ -9,6 +9,8 @@ import sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # The program shows no window; a backend for notebooks in the environment ends the import of matplotlib.
 os.environ["MPLBACKEND"] = "agg"
+# No plug-in of pydantic is used; the search for one reads the metadata of every package of the environment.
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 # [s]. With the default of 5 ms, threads that alternate short numpy calls wait for each other: 10 % of `diagnose`.
 SWITCH_INTERVAL = 5e-4

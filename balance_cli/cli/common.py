@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.errors import BalanceCommand
+from balance_cli.cli.lean_scipy import import_lean_scipy
 from balance_cli.cli.log_messages import log_to_stderr
 from balance_cli.cli.messages import Messages
 from balance_cli.cli.options import check_outputs, input_files, json_option, non_default_options, verbose_option
@@ -262,6 +263,7 @@ def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., Non
         def call(json_path: Path | None, verbose: bool, quiet: bool, **parameters: Any) -> None:
             context = click.get_current_context()
             check_outputs(context)
+            import_lean_scipy()
             session, failed = Session(context, json_path), True
             with log_to_stderr(verbose and not quiet), reader_process():
                 try:

@@ -40,7 +40,8 @@ Array = NDArray[np.float64]
 class FrozenModel(BaseModel):
     """Base of all parts: frozen, unknown keys refused, no infinities."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    # A part is checked within the whole that is read: validators of the parts alone are not built.
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 def name_as_mapping(value: object) -> object:
