@@ -15,7 +15,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
-from balance_cli.calibration.check_loads import CheckLoads, CheckModels, evaluate_check_loads
+from balance_cli.calibration.all_trims_result import CheckLoads
+from balance_cli.calibration.check_loads import CheckModels, evaluate_check_loads
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel

@@ -15,7 +15,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration, calibrate_all_trims
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
 

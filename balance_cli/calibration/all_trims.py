@@ -3,117 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.check_loads import CheckLoads, CheckModels, evaluate_check_loads, evaluate_check_points
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads, Drift
+from balance_cli.calibration.check_loads import CheckModels, evaluate_check_loads, evaluate_check_points
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, refit_terms
 from balance_cli.calibration.load_directions import check_load_directions
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
-from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
-from balance_cli.calibration.outliers import Outlier, ScreenedFit
+from balance_cli.calibration.noniterative import fit_noniterative_model
+from balance_cli.calibration.noniterative_model import NonIterativeModel
+from balance_cli.calibration.outliers import ScreenedFit
 from balance_cli.calibration.own_products import own_product_notes
 from balance_cli.calibration.random_terms import fit_random_terms
 from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.series_zeros import series_zero_notes
-from balance_cli.calibration.suspect_series import SuspectLoadSeries
 from balance_cli.calibration.swapped_channels import find_swapped_channels
-from balance_cli.calibration.tares import Tares, screen_outliers_with_tares, undetermined_weight_notes
+from balance_cli.calibration.tare_result import Tares
+from balance_cli.calibration.tares import screen_outliers_with_tares, undetermined_weight_notes
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
-from balance_cli.calibration.untested_products import UntestedProducts, find_untested_products
+from balance_cli.calibration.untested_products import find_untested_products
 from balance_cli.campaign.recording.run import Run, read_channels
-from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-LEVEL_GRAVITY = gravity_directions([[0.0, 0.0]])
 SAME_RANGE = 0.01
 """Relative difference of two calibrated ranges that needs no remark: above load noise, below any load step."""
 MIN_ZEROS = 3
 """Zeros that a drift rate with a residual needs: a line through two of them leaves no degree of freedom."""
-
-
-@dataclass(frozen=True)
-class Drift:
-    """A straight line through the zeros of the load series in their order.
-
-    `slope` (c,) [V per load series] with `slope_sigma` (c,); `chi2_per_dof` (c,): chi-square per degree of freedom of
-    the zeros about the line, 1 where their standard errors explain the scatter. NaN for fewer than three load series.
-    """
-
-    slope: Array
-    slope_sigma: Array
-    chi2_per_dof: Array = field(metadata={"stored_as": "scatter"})
-
-
-@dataclass(frozen=True)
-class AllTrimsCalibration:
-    """Calibration model of all trims, with the rows that it was fitted to.
-
-    Of each row: `run` (m,), an index into `runs`; `loads` (m, k) [N, N m]; `residuals` (m, c) and
-    `cross_validation_errors` (m, c) [V], the latter predicted without the load series of the row. Both are NaN where a
-    row was excluded. `attitude_segment` (m,): index of the attitude, None where no run states one.
-
-    `outliers` and `suspect_series` were excluded from the fit. `swapped_channels`: pairs of channels that read each
-    other's loads in all runs. `screening_notes`: where the search for outliers stopped early, and why the weight of the
-    metric part is not determined. `non_iterative`: the model of that method, where it was requested.
-
-    With `tares` the loads of the rows and of the model include the weight of the metric part, and the zeros are those
-    of the balance without any load.
-
-    `load_series` (m,): number of the load series of each row; `series_notes`: how open tare points were read.
-    `term_choice`: which terms the model could have. `random_terms`: the model that computes loads, where its terms are
-    not the selected ones of `model`.
-    """
-
-    model: CalibrationModel
-    runs: tuple[str, ...]
-    run: Index
-    loads: Array
-    residuals: Array
-    cross_validation_errors: Array = field(metadata={"stored_as": "left_out"})
-    drift: Drift
-    noise: CalibrationNoise
-    outliers: tuple[Outlier, ...]
-    suspect_series: tuple[SuspectLoadSeries, ...] = field(metadata={"stored_as": "bad_sequences"})
-    swapped_channels: tuple[str, ...] = field(default=(), metadata={"stored_as": "exchanged"})
-    screening_notes: tuple[str, ...] = field(default=(), metadata={"stored_as": "limits"})
-    non_iterative: NonIterativeModel | None = field(default=None, metadata={"stored_as": "direct"})
-    checks: tuple[CheckLoads, ...] = ()
-    tares: Tares | None = None
-    attitude_segment: Index | None = field(default=None, metadata={"stored_as": "stretch"})
-    load_series: Index | None = field(default=None, metadata={"omit_if_none": True})
-    series_notes: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
-    term_choice: TermChoice | None = field(default=None, metadata={"omit_if_none": True})
-    random_terms: CalibrationModel | None = field(default=None, metadata={"omit_if_none": True})
-
-    @property
-    def loads_model(self) -> CalibrationModel:
-        """The model by which loads are computed: that with random terms where there is one."""
-        return self.model if self.random_terms is None else self.random_terms
-
-    @property
-    def used(self) -> NDArray[np.bool_]:
-        """Rows (m,) that were fitted."""
-        return np.asarray(np.isfinite(self.residuals).all(axis=1))
-
-    @cached_property
-    def untested_products(self) -> UntestedProducts | None:
-        """Products of two loads that the rows that were fitted could not tell; None where there are none."""
-        block = self.run if self.load_series is None else self.load_series
-        readings = self.model.readings(self.loads[self.used]) + self.residuals[self.used]
-        return find_untested_products(self.loads_model, self.loads[self.used], readings, block[self.used])
-
-    @property
-    def level_weight_loads(self) -> Array:
-        """Loads (k,) [N, N m] of the weight of the metric part on the level rig; zero where the tares are not known."""
-        names = self.model.components
-        return np.zeros(len(names)) if self.tares is None else self.tares.loads(LEVEL_GRAVITY, names)[0]
 
 
 def calibrate_all_trims(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.all_trims_result import CheckLoads
 from balance_cli.calibration.check_zeros import CheckZero, zeros_of_run
 from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise
-from balance_cli.calibration.noniterative import NonIterativeModel
+from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.untested_products import UntestedProducts
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.distributions import CONFIDENCE
@@ -26,42 +27,6 @@ NON_ITERATIVE = "non-iterative method"
 """Name of the other method; stored in artefacts."""
 MAX_ZERO_SHIFT = 4.0
 """Standard errors by which the zero of a run without tare point may differ from that of the calibration to equal it."""
-
-
-@dataclass(frozen=True)
-class CheckLoads:
-    """Loads of a held-out run: applied (m, k) and computed (m, k) [N, N m], with half the prediction interval (m, k).
-
-    `is_valid` (m,): rows within the calibrated loads for which the iteration converged. `method`: the model that
-    computed them, None for the calibration model. `zeros`: how zeros that shift were assigned, None for a single one.
-    """
-
-    run: str
-    applied: Array
-    computed: Array = field(metadata={"stored_as": "found"})
-    prediction_interval: Array = field(metadata={"stored_as": "interval"})
-    is_valid: NDArray[np.bool_] = field(metadata={"stored_as": "solved"})
-    method: str | None = field(default=None, metadata={"omit_if_none": True})
-    zeros: str | None = field(default=None, metadata={"omit_if_none": True})
-
-    @property
-    def label(self) -> str:
-        """The run and, where it is not the calibration model, the method."""
-        return self.run if self.method is None else f"{self.run}, {self.method}"
-
-    @property
-    def interval_coverage(self) -> Array:
-        """Share (k,) of the valid rows whose load lies within its prediction interval; NaN where none is known."""
-        within = (np.abs(self.computed - self.applied) <= self.prediction_interval)[self.is_valid]
-        if not len(within) or not np.isfinite(self.prediction_interval[self.is_valid]).all():
-            return np.full(within.shape[1], np.nan)
-        return np.asarray(np.mean(within, axis=0))
-
-    @property
-    def error(self) -> Array:
-        """Rms error (k,) [N, N m] of the valid rows; NaN without any."""
-        errors = (self.computed - self.applied)[self.is_valid]
-        return np.asarray(np.sqrt(np.mean(errors**2, axis=0))) if len(errors) else np.full(errors.shape[1], np.nan)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.all_trims import AllTrimsCalibration
+    from balance_cli.calibration.all_trims_result import AllTrimsCalibration
     from balance_cli.calibration.result import Calibration
 
 ITERATIVE, LINEAR, NON_ITERATIVE = "iteration with the calibration model", "linear model", "non-iterative method"

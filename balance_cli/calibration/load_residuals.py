@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.load_method import NON_ITERATIVE, iteration_name
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.load_components import FullScale, full_scale

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.noise import APPLIED_SHARE
 

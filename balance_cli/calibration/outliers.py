@@ -6,17 +6,18 @@ with terms that were selected with them. The scale of the errors is a median, wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.all_trims_result import Outlier, SuspectLoadSeries
 from balance_cli.calibration.exclusion_test import rows_of_chance
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gross_outliers import gross_outlier_candidates, misplaced_rows
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
 from balance_cli.calibration.row_errors import errors_without, have_load_errors, outlier_limit, row_sigma
-from balance_cli.calibration.suspect_series import SuspectLoadSeries, exclude_suspect_series
+from balance_cli.calibration.suspect_series import exclude_suspect_series
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.io.units import VOLTAGE
 
@@ -30,24 +31,6 @@ MIN_OUTLIERS = 2
 """Rows that may be outliers in any calibration: two that are exchanged."""
 MAX_SCREENINGS = 4
 """Rounds of selecting terms and excluding rows; without a further outlier the rounds end."""
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """A row that the others do not predict: `row` from 1 in its run, `error` [V], and the error over its sigma.
-
-    `exchanged_with`: row whose loads it seems to have; `cause`: what a single mistake would explain it. None where
-    neither is found. `unit`: base unit of the error, None for V.
-    """
-
-    run: str
-    row: int
-    channel: str
-    error: float
-    over_sigma: float
-    exchanged_with: int | None = field(default=None, metadata={"omit_if_none": True})
-    cause: str | None = field(default=None, metadata={"omit_if_none": True})
-    unit: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)

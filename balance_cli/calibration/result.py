@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
-from balance_cli.calibration.temperature import TemperatureTerms
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural, warning_lines

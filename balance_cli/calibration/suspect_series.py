@@ -6,11 +6,12 @@ A load series is compared with predictions from the other ones, never with a fit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.all_trims_result import SuspectLoadSeries
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
@@ -38,24 +39,6 @@ AMBIGUITY_FACTOR = 1.5
 """Another series is named as an alternative where excluding it leaves at most this multiple of the least misfit."""
 MAX_SCALED_SQUARE = 100.0
 """Squared error over noise at which errors are clipped (10 sigma), so that a second bad series does not decide."""
-
-
-@dataclass(frozen=True)
-class SuspectLoadSeries:
-    """A load series in which a channel does not follow the prediction from the other load series.
-
-    `gain` with `gain_sigma`: regression coefficient of its change on the prediction. `resembled_channel`: the channel
-    whose prediction it follows instead, empty for none. `alternatives`: load series that may be wrong in its place.
-    `cause`: the single mistake that would explain it in all channels; None where there is none.
-    """
-
-    load_series: str = field(metadata={"stored_as": "sequence"})
-    channel: str
-    gain: float
-    gain_sigma: float
-    resembled_channel: str = field(metadata={"stored_as": "like"})
-    alternatives: tuple[str, ...] = field(default=(), metadata={"stored_as": "or_else"})
-    cause: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)

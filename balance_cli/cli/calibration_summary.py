@@ -11,13 +11,11 @@ from balance_cli.cli.load_residual_summary import check_point_summary, load_resi
 from balance_cli.cli.temperature_summary import temperature_summary
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.all_trims import AllTrimsCalibration
-    from balance_cli.calibration.check_loads import CheckLoads
+    from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads, SuspectLoadSeries
     from balance_cli.calibration.math_model import CalibrationModel
-    from balance_cli.calibration.noniterative import NonIterativeModel
+    from balance_cli.calibration.noniterative_model import NonIterativeModel
     from balance_cli.calibration.result import Calibration, TrimCalibration
-    from balance_cli.calibration.suspect_series import SuspectLoadSeries
-    from balance_cli.calibration.tares import Tares
+    from balance_cli.calibration.tare_result import Tares
     from balance_cli.calibration.term_choice import TermChoice
     from balance_cli.campaign.rig.geometry import Geometry
 

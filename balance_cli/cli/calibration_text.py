@@ -17,12 +17,9 @@ from balance_cli.cli.temperature_summary import temperature_text
 from balance_cli.io.units import VOLTAGE, short_reading
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.all_trims import AllTrimsCalibration
-    from balance_cli.calibration.check_loads import CheckLoads
-    from balance_cli.calibration.outliers import Outlier
+    from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads, Outlier, SuspectLoadSeries
     from balance_cli.calibration.result import Calibration, TrimCalibration
-    from balance_cli.calibration.suspect_series import SuspectLoadSeries
-    from balance_cli.calibration.tares import Tares
+    from balance_cli.calibration.tare_result import Tares
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.campaign.rig.load_components import FullScale
 

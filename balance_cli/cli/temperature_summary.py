@@ -9,7 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
-    from balance_cli.calibration.temperature import TemperatureTerms
+    from balance_cli.calibration.temperature_terms import TemperatureTerms
 
 
 def temperature_summary(calibration: Calibration) -> dict[str, Any] | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.load_method import NON_ITERATIVE, iteration_name
 from balance_cli.calibration.math_model import CalibrationModel
-from balance_cli.calibration.noniterative import NonIterativeModel
+from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.static_matrices import lack_of_fit
 from balance_cli.calibration.untested_products import (

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.temperature import TemperatureTerms
+from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_TEMPERATURE, join_flags
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord

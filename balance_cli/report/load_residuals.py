@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from balance_cli.calibration.check_loads import CheckLoads
+from balance_cli.calibration.all_trims_result import CheckLoads
 from balance_cli.calibration.load_residuals import LoadResiduals, load_residuals
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.load_components import component_units, full_scale

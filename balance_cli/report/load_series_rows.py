@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration, Outlier
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE, describe_load_series, find_load_series
-from balance_cli.calibration.outliers import Outlier
 from balance_cli.calibration.result import Calibration
 
 Array = NDArray[np.float64]

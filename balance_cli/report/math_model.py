@@ -7,13 +7,11 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration, Outlier, SuspectLoadSeries
 from balance_cli.calibration.convergence import Contraction
-from balance_cli.calibration.noniterative import NonIterativeModel
-from balance_cli.calibration.outliers import Outlier
+from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.suspect_series import SuspectLoadSeries
-from balance_cli.calibration.tares import Tares
+from balance_cli.calibration.tare_result import Tares
 from balance_cli.calibration.term_choice import LISTED, QUADRATIC, TERM_SIGNIFICANCE_LEVEL
 from balance_cli.campaign.rig.load_components import component_units, full_scale
 from balance_cli.io.units import short_reading

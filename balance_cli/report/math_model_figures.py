@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
 from balance_cli.report.figure_style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, PlotStyle, new_figure
 from balance_cli.report.load_series_rows import LoadSeriesRows, channel_outliers, channel_residual_sigma

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
-from balance_cli.calibration.check_loads import CheckLoads
-from balance_cli.calibration.tares import Tares
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads
+from balance_cli.calibration.tare_result import Tares
 from balance_cli.campaign.rig.load_components import FullScale
 from balance_cli.report.blocks import Row, Table, TableCell, plain_row
 from balance_cli.report.diagnosis_tables import PLUS_MINUS, format_p_value

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.temperature import TemperatureTerms
+from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.report.blocks import Heading, PageBlock, Paragraph, Row, Table, TableCell
 from balance_cli.report.number_format import MARKED_SIGMA, format_significant
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration, calibrate_all_trims, read_load_points
+from balance_cli.calibration.all_trims import calibrate_all_trims, read_load_points
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.term_choice import TermChoice

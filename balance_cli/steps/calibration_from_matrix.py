@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration, Drift, read_load_points
+from balance_cli.calibration.all_trims import read_load_points
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration, Drift
 from balance_cli.calibration.check_loads import CheckModels, evaluate_check_loads
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.matrix import model_from_matrix

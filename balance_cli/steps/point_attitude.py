@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import LEVEL_GRAVITY
+from balance_cli.calibration.all_trims_result import LEVEL_GRAVITY
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.attitude import is_one_direction
 from balance_cli.steps.point_zeros import PointReadings, ZeroReading

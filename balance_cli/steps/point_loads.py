@@ -17,7 +17,7 @@ from balance_cli.calibration.math_model import (
     CalibrationModel,
     zero_scatter,
 )
-from balance_cli.calibration.noniterative import NonIterativeModel
+from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.trim_model import model_of_trim
 from balance_cli.calibration.untested_products import (

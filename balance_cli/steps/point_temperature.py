@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.temperature import TemperatureTerms
+from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_TEMPERATURE, SEPARATOR
 from balance_cli.steps.point_loads import PointLoads, point_loads
 from balance_cli.steps.point_zeros import PointReadings, ZeroReading

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run, hold_samples

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.calibration.static_matrices import inverse_matrix, inverse_sigma, standard_errors
-from balance_cli.calibration.temperature import TemperatureRows, TemperatureTerms, estimate_temperature_terms
+from balance_cli.calibration.temperature import TemperatureRows, estimate_temperature_terms
+from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.calibration.terms import all_terms, linear_terms, term_values
 from balance_cli.calibration.weight_covariance import weight_covariance
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry

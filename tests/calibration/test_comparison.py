@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.comparison import compare_calibrations
-from balance_cli.calibration.temperature import TemperatureTerms
+from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.cli.comparison_summary import comparison_summary, comparison_text

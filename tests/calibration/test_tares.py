@@ -12,7 +12,8 @@ from click.testing import CliRunner
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.outliers import screen_outliers
-from balance_cli.calibration.tares import screen_outliers_with_tares, weight_loads
+from balance_cli.calibration.tare_result import weight_loads
+from balance_cli.calibration.tares import screen_outliers_with_tares
 from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
 from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.recording.run import MemorySource, Run
