@@ -29,6 +29,9 @@ COHERENCE = 0.8
 turns regularly; of noise it is below a half."""
 FEWEST_AMPLITUDES = 6
 """Amplitudes that must tell a steady turn."""
+PREFERENCE = 1e-3
+"""By how much half a turn must agree better than none: harmonics that are all multiples of the blades' agree as well
+after any part of a revolution between two blades, and noise would choose among these."""
 TURNS_PER_HARMONIC = 16
 """Turns of the azimuth that are tried first, over the number of harmonics: between two the last turns by 22 deg."""
 ALIKE_SHARE, ALIKE_DEPARTURE = 0.9, 0.25
@@ -77,7 +80,7 @@ def _steady_turn(values: ComplexArray) -> CommonTurn | None:
     error = np.sqrt((1.0 / share**2 - 1.0) / (2.0 * (count - 1)))
     missed = np.abs(np.angle(phasor * np.exp(-1j * order * turn)))
     is_alike = missed <= ALIKE_DEPARTURE * order * abs(turn) + NOISE_LIMIT * error
-    is_known = order * abs(turn) > NOISE_LIMIT * error
+    is_known = np.abs(np.angle(phasor)) > NOISE_LIMIT * error
     if abs(turn) * (count - 1) < LEAST_STEADY_TURN or np.count_nonzero(is_known) < FEWEST_AMPLITUDES:
         return None
     return CommonTurn(0, turn, is_steady=True) if np.mean(is_alike) >= ALIKE_SHARE else None
@@ -100,7 +103,9 @@ def _sudden_turn(values: ComplexArray, size: ComplexArray, weight: Array) -> Com
 def _best_turn(phasors: ComplexArray, order: NDArray[np.int64]) -> Array:
     """Return the turns [rad] (w,) by which phasors (w, n) of the orders agree best."""
     turns = np.linspace(-np.pi, np.pi, TURNS_PER_HARMONIC * int(order.max()), endpoint=False)
-    turn = turns[np.argmax((phasors @ np.exp(-1j * np.outer(order, turns))).real, axis=1)]
+    agreement = (phasors @ np.exp(-1j * np.outer(order, turns))).real
+    most = np.abs(phasors).sum(axis=1, keepdims=True)
+    turn = turns[np.argmax(agreement - PREFERENCE * most * np.abs(turns) / np.pi, axis=1)]
     left = np.angle(phasors * np.exp(-1j * np.outer(turn, order)))
     size = np.abs(phasors) * order
     return np.asarray(turn + (left * size).sum(axis=1) / np.maximum(size @ order, np.finfo(float).tiny))

@@ -104,3 +104,18 @@ def test_pulses_of_another_record_are_found(step):
     assert turn is not None and turn.is_steady and turn.turn == pytest.approx(step, rel=0.1)
     change = channel_change(values, SENSORS, sigma)
     assert change is not None and "sample_rate" in change.question
+
+
+@pytest.mark.parametrize("orders", [(4,), (2,), (4, 8), (2, 4, 6, 8)])
+def test_harmonics_of_the_blades_alone_are_steady_and_their_turns_are_found(orders):
+    """Harmonics of a hub that passes multiples of the blades only agree at every part of a revolution between two."""
+    is_left_out = ~np.isin(np.arange(1, HARMONICS + 1), orders)
+    for seed in range(20):
+        values, sigma = amplitudes(seed, noise=1e-4)
+        values[:, is_left_out] = amplitudes(seed + 99, noise=1e-4)[0][:, is_left_out]
+        values[:, is_left_out] -= amplitudes(seed + 99, noise=0.0)[0][:, is_left_out]
+        assert common_turn(values, np.ones((HARMONICS, CHANNELS))) is None
+        assert channel_change(values, SENSORS, sigma) is None
+        steps = 0.01 * np.arange(WINDOWS)[:, None] * np.arange(1, HARMONICS + 1)
+        turn = common_turn(values * np.exp(1j * steps)[:, :, None], np.ones((HARMONICS, CHANNELS)))
+        assert turn is not None and turn.is_steady and turn.turn == pytest.approx(0.01, rel=0.1)
