@@ -25,8 +25,8 @@ def timing_step(times: Array) -> float:
     single = np.array_equal(times, times.astype(np.float32))
     tolerance = ROUNDING * float(np.finfo(np.float32 if single else float).eps * np.abs(times).max())
     step = _common_divisor(np.abs(np.diff(times, 2)), LEAST_STEP * tolerance)
-    if step == 0.0:
-        return 0.0
+    if step == 0.0 or step > 0.5 * np.diff(times).min():
+        return 0.0  # of pulses that are evenly spaced but for missing ones, the step is a revolution
     since_first = times - times[0]
     for _ in range(2):  # the step is known to its share of an interval, then of the record
         counts = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(times) / step))])

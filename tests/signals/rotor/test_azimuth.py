@@ -129,6 +129,7 @@ def test_the_step_of_pulse_times_is_told_and_none_where_there_is_none(kind):
     free = [np.cumsum(0.05 * (1 + 0.01 * rng.standard_normal(rng.integers(12, 60)))) for _ in range(200)]
     assert not any(timing_step(t.astype(kind).astype(float)) for t in [times, *free])
     assert timing_step(np.arange(40) / RATE) == 0.0
+    assert timing_step(np.delete(np.arange(40), [5, 20, 21]) / RATE) == 0.0
 
 
 @pytest.mark.parametrize(("scatter", "left"), [(5.0, 2.5), (0.5, 0.25)])
