@@ -121,6 +121,21 @@ def test_taps_and_bounces_are_counted():
     assert hits.note.startswith("3 taps") and "bounced once (first at 4.05" in hits.note and has_short_hits(force)
 
 
+@pytest.mark.parametrize("order", [6, 8, 10, 401])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_ringing_of_an_anti_alias_filter_is_no_rebound(order, sign):
+    """Taps of 1 ms behind Butterworth filters of 350 Hz, and one of linear phase that rings before the hit, too."""
+    nyquist = RATE * FINE
+    b, a = (scipy.signal.firwin(order, 350.0, fs=nyquist), [1.0]) if order > 100 else ([1.0], [1.0])
+    sections = scipy.signal.butter(min(order, 10), 350.0, fs=nyquist, output="sos")
+    for times, doubles in (([1.3, 5.1, 9.4, 14.2], []), ([1.3, 5.1, 5.16, 9.4], [2])):
+        force = sign * taps(times, width=0.001)
+        filtered = scipy.signal.lfilter(b, a, force) if order > 100 else scipy.signal.sosfilt(sections, force)
+        hits = find_hits(filtered[::FINE], RATE)
+        assert np.allclose(hits.times, times, atol=0.02)
+        assert np.flatnonzero(hits.is_double).tolist() == doubles
+
+
 def test_a_tap_that_bounced_is_dropped_and_the_rest_is_right():
     run = hammer_run([1.3, 5.1, 5.16, 9.4, 14.2])
     record = hammer_record(run)
