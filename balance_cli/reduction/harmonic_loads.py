@@ -54,7 +54,7 @@ def harmonic_loads(
     def known_error(loads: Array) -> Array:
         return circular_real(_known_error(record, source, channel_combination.rows, as_components(loads)))
 
-    sample = np.diag(_channel_noise(record, geometry)).astype(complex)
+    sample = np.diag(channel_noise(record, geometry)).astype(complex)
     weighting_covariance = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
     return solve_loads(
         stacked_real(T),
@@ -75,7 +75,7 @@ def _known_error(record: RotorRecord, source: ResponseSource, rows: list[int], l
     return error.covariance(record.spectra.frequency_hz[1:], loads)[:, np.array(rows)[:, None], rows]
 
 
-def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:
+def channel_noise(record: RotorRecord, geometry: Geometry) -> Array:
     """Return the noise variance (c,) [V2] of one sample of each live channel, in the interval of the harmonics."""
     spectrum = record.spectrum_over_time
     noise = spectrum.noise_variance(geometry.acquisition)

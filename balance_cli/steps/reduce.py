@@ -18,6 +18,7 @@ from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
 from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
+from balance_cli.reduction.load_fluctuation import add_load_fluctuation
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
@@ -80,6 +81,7 @@ def reduce_record(
     `amplitudes` (n, m) of harmonics 1 to n, estimated in another way, replace those that the inverted response gives;
     the errors, the redundancy and the condition remain those of the inverted response.
     """
+    record = add_load_fluctuation(record, geometry, source)
     mean_solution = (
         unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
     )

@@ -77,6 +77,19 @@ class PooledNoise:
     dof: Array
 
 
+@dataclass(frozen=True)
+class NoiseLines:
+    """Lines (n, k, c) at `offsets` (k,) from harmonics 1 to n, without the tones and free decays of the regression.
+
+    The mean of z z* over the lines that hold noise alone, `keep` (n, k), is the covariance of a harmonic in noise of a
+    flat spectrum.
+    """
+
+    values: ComplexArray
+    offsets: Array
+    keep: Flags
+
+
 def pooled_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
     """Average z z* over the lines that hold noise alone.
 

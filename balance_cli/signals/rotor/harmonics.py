@@ -17,10 +17,12 @@ from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonic_noise import (
+    NoiseLines,
     blackman_taper,
     line_offsets,
     mean_line_offsets,
     mean_noise,
+    noise_only_lines,
     pooled_noise,
 )
 from balance_cli.signals.rotor.joint_regression import JointRegression, complex_amplitudes, harmonic_products
@@ -60,6 +62,7 @@ class Harmonics:
     interval: tuple[float, float]
     revolutions: tuple[int, int]
     samples: int
+    noise_lines: NoiseLines | None = None
 
     @property
     def cosine(self) -> Array:
@@ -145,11 +148,10 @@ def estimate_harmonics(
     sums = _empty_sums(n * (last - first_revolution) + int(offsets[-1]), fitted_count, other.columns, len(names))
     for samples in _weighted_blocks(run, azimuth, names, revolutions, other, block):
         _accumulate_block(sums, samples, fitted_count)
-    regression = _regression(sums, fitted_count)
+    regression = JointRegression(harmonic_products(sums.turning, fitted_count), sums.border)
     amplitude = complex_amplitudes(regression.solve(sums.moment), n, fitted_count)
-    covariance, dof = _amplitude_covariance(sums, amplitude, revolutions, offsets, regression)
-    w, w2 = sums.weight[:2]
-    weighted_revolutions = (last - first_revolution) * w**2 / (w2 * sums.samples)
+    covariance, dof, noise_lines = _amplitude_covariance(sums, amplitude, revolutions, offsets, regression)
+    weighted_revolutions = (last - first_revolution) * sums.weight[0] ** 2 / (sums.weight[1] * sums.samples)
     covariance = covariance + azimuth_error_covariance(amplitude, azimuth, weighted_revolutions)
 
     def error_amplitudes(index: NDArray[np.int64], errors: Array) -> ComplexArray:
@@ -163,7 +165,8 @@ def estimate_harmonics(
     span = sample_span(run, start, end)
     covariance = covariance + bridging_covariance(run, names, span, error_amplitudes)
     frequency = np.arange(n + 1) * (last - first_revolution) / (end - start)
-    return Harmonics(run.name, names, frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples)
+    estimate = (frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples, noise_lines)
+    return Harmonics(run.name, names, *estimate)
 
 
 def _signal_names(run: Run) -> tuple[str, ...]:
@@ -229,7 +232,9 @@ def read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array
 def _empty_sums(highest_line: int, fitted_count: int, other: int, count: int) -> _NormalEquations:
     columns = 2 * fitted_count + 1 + other
     turning, border = np.zeros(2 * fitted_count + 1, complex), np.zeros((other, columns))
-    return _NormalEquations(turning, border, np.zeros((columns, count)), LineSums(highest_line, count), np.zeros(4))
+    return _NormalEquations(
+        turning, border, np.zeros((columns, count)), LineSums(highest_line, count + other), np.zeros(4)
+    )
 
 
 def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_count: int) -> None:
@@ -238,6 +243,8 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
     w, F, c = samples.weight, fitted_count, samples.signals.shape[1]
+    beside = np.zeros((len(w), len(sums.border)))
+    beside[:, samples.other_columns] = samples.other.T
     basis = trigonometric_basis(samples.psi, F, samples.other)
     weighted = np.empty((c + 3 + len(samples.other), len(w)))
     np.multiply(samples.signals.T, w, out=weighted[:c])
@@ -253,19 +260,15 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     sums.turning[F + 1 :] += cosine[1 : F + 1] - sine[F + 1 :] + 1j * (sine[1 : F + 1] + cosine[F + 1 :])
     sums.border[samples.other_columns[:, None], columns] += products[c + 3 :]
     q = blackman_taper(samples.fraction) * samples.speed
-    sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), samples.signals * q[:, None])
+    sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), np.hstack([samples.signals, beside]) * q[:, None])
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]
     sums.samples += len(w)
-
-
-def _regression(sums: _NormalEquations, fitted_count: int) -> JointRegression:
-    return JointRegression(harmonic_products(sums.turning, fitted_count), sums.border)
 
 
 def _of_cosine_and_sine(factor: Array, n: int) -> Array:
     """Return the mean (n+1,) of a factor (2 F + 1,) on the variances of cosine and sine of each harmonic."""
     cosine, sine = factor[: n + 1], factor[len(factor) // 2 + 1 :][:n]
-    return np.concatenate([cosine[:1], 0.5 * (cosine[1:] + sine)])
+    return np.append(cosine[0], 0.5 * (cosine[1:] + sine))
 
 
 def _amplitude_covariance(
@@ -274,8 +277,8 @@ def _amplitude_covariance(
     revolutions: tuple[int, int],
     offsets: Array,
     regression: JointRegression,
-) -> tuple[ComplexArray, Array]:
-    """Covariance (n+1, c, c) of the amplitudes (n+1, c) and its degrees of freedom (n+1,)."""
+) -> tuple[ComplexArray, Array, NoiseLines]:
+    """Covariance (n+1, c, c) of the amplitudes (n+1, c), its degrees of freedom (n+1,), and the lines of the noise."""
     n, turns = len(amplitude) - 1, revolutions[1] - revolutions[0]
     w, w2, q, q2 = sums.weight
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
@@ -283,9 +286,13 @@ def _amplitude_covariance(
     innermost = mean_line_offsets(turns)
     beside = turns * np.arange(1, n + 1)[:, None] + offsets.astype(np.int64)
     lines = sums.lines.at(np.concatenate([innermost.astype(np.int64), beside.ravel()])) * (2.0 / q)
+    lines, of_others = np.split(lines, [amplitude.shape[1]], axis=1)
     to_start = np.exp(2j * np.pi * innermost * revolutions[0] / turns)  # lines count azimuth from the first pulse
     mean = mean_noise(to_start[:, None] * lines[: len(innermost)], innermost, amplitude[0].real)
-    others = pooled_noise(lines[len(innermost) :].reshape(*beside.shape, lines.shape[1]), offsets)
-    inflation = _of_cosine_and_sine(regression.variance_inflation(), n)
-    covariance = variance_ratio * inflation[:, None, None] * np.concatenate([mean.covariance[None], others.covariance])
-    return covariance, np.concatenate([mean.dof[None], others.dof])
+    pooled = pooled_noise(lines[len(innermost) :].reshape(*beside.shape, -1), offsets)
+    factor = variance_ratio * _of_cosine_and_sine(regression.variance_inflation(), n)
+    covariance = factor[:, None, None] * np.concatenate([mean.covariance[None], pooled.covariance])
+    rest = (lines - of_others @ regression.solve_others(sums.moment))[len(innermost) :].reshape(*beside.shape, -1)
+    keep = noise_only_lines(np.abs(rest) ** 2, offsets)
+    noise_lines = NoiseLines(np.sqrt(factor[1:])[:, None, None] * rest, offsets, keep)
+    return covariance, np.concatenate([mean.dof[None], pooled.dof]), noise_lines

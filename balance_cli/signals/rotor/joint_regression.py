@@ -41,9 +41,15 @@ class JointRegression:
         alone = np.linalg.solve(self.own, moment[:count])
         if not len(self.border):
             return np.asarray(alone)
+        return np.asarray(alone - self._others[0] @ self.solve_others(moment))
+
+    def solve_others(self, moment: Array) -> Array:
+        """Return the coefficients (e, c) of the other columns for the same products."""
+        if not len(self.border):
+            return np.zeros((0, moment.shape[1]))
         explained, directions = self._others
-        amplitude = directions.T @ (moment[count:] - self.border[:, :count] @ alone)
-        return np.asarray(alone - explained @ directions @ amplitude)
+        left = moment[len(self.own) :] - explained.T @ moment[: len(self.own)]
+        return np.asarray(directions @ (directions.T @ left))
 
     def variance_inflation(self) -> Array:
         """Return the factor (2 F + 1,) by which the other columns increase the variance of each coefficient.
