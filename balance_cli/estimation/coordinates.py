@@ -95,11 +95,12 @@ def _has_positive_nature(name: str) -> bool:
     return of_shaft or name.startswith(POSITIVE_PARAMETERS)
 
 
-def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
+def coordinates(parameters: ParameterSet, start: Array, near_minimum: bool = False) -> Coordinates:
     """Logarithms of the free stiffnesses, masses and inertias; products of inertia and effects relative to these.
 
-    An effect's mass or inertia that is not zero at the `start` (p,) of the fit is logarithmic too: often the data
-    determine only its order of magnitude, and a compliance varies as a power of it.
+    An effect's mass or inertia that is not zero at the `start` (p,) of the fit is logarithmic too: far from the minimum
+    only its order of magnitude is known. `near_minimum` it is not: a body of mass m on a compliance c yields by
+    c + w^2 m c^2 below its resonance, so that the data leave a line in m, which the logarithm would bend.
     """
     names = parameters.names
     plate = np.array([_has_positive_nature(name) for name in names])
@@ -110,7 +111,7 @@ def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
     product_indices = np.array(products, dtype=np.intp).reshape(-1, 3)
     plate[product_indices[:, 0]] = True
     inertia = ~plate & np.isin(parameters.units, INERTIA_UNITS) & (parameters.lower == 0) & (start > 0)
-    logarithmic = (plate & (parameters.value > 0) | inertia) & parameters.free
+    logarithmic = (plate & (parameters.value > 0) | inertia & (not near_minimum)) & parameters.free
     logarithmic[product_indices[:, 0]] = False
     mass = names.index("mass") if "mass" in names else 0
     relative = ~plate & ~logarithmic if logarithmic[mass] else np.zeros(len(names), bool)

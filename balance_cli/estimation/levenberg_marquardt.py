@@ -61,15 +61,17 @@ def minimize(
     iterations: int = 60,
     tolerance: float = 1e-4,
     known: Curvature | None = None,
+    near_minimum: bool = False,
 ) -> Minimum:
     """Minimize chi2 of the data plus priors over the free parameters.
 
     Steps are taken in the coordinates that make the scale of the rig a straight line, within bounds, damped after
     Marquardt. The fit ends when the predicted decrease of chi2 is less than `tolerance`, or less than 1e-9 of chi2.
-    `known`: the curvature of the data at `start`, where another fit has ended there.
+    `known`: the curvature of the data at `start`, where another fit has ended there. `near_minimum`: as in
+    `coordinates`.
     """
     theta, damping = np.array(start, float), 0.0
-    problem = _BoundedProblem(parameters, coordinates(parameters, theta), curvature, chi2)
+    problem = _BoundedProblem(parameters, coordinates(parameters, theta, near_minimum), curvature, chi2)
     data = curvature(theta) if known is None else known
     for iteration in range(1, iterations + 1):
         with_priors = data + prior_curvature(parameters, theta)

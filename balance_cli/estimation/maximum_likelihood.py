@@ -46,6 +46,7 @@ def fit_maximum_likelihood(
         iterations=iterations,
         tolerance=tolerance,
         known=known,
+        near_minimum=True,
     )
 
 

@@ -65,6 +65,26 @@ def test_a_narrow_curved_valley_is_followed_in_long_steps():
     assert result.iterations < 250
 
 
+@pytest.mark.parametrize("mass", [0.05, 0.2, 5.0, 20.0])
+def test_near_its_minimum_the_mass_of_a_support_is_found_below_the_resonance(mass):
+    """As a logarithm it took 22 steps from 0.05 kg, and from 5 and 20 kg ended in another minimum."""
+    w = np.linspace(0.1, 0.6, 40)
+
+    def motion(x):
+        return x[1] / (1.0 - w**2 * x[0] * x[1])
+
+    def jacobian(x):
+        stiffness = 1.0 - w**2 * x[0] * x[1]
+        return 100.0 * np.stack([(w * x[1] / stiffness) ** 2, stiffness**-2.0], axis=1)
+
+    support = unknown("effect.mass", unit="kg", lower=0.0, scale=0.1)
+    support += unknown("effect.compliance", unit="m/N", lower=0.0, scale=0.01)
+    problem = Residuals(lambda x: 100.0 * (motion(x) - motion([1.0, 1.0])), jacobian)
+    result = problem.minimum(support, (mass, 0.7), tolerance=1e-6, near_minimum=True)
+    assert result.theta == pytest.approx([1.0, 1.0], abs=1e-4)
+    assert result.iterations < 20
+
+
 def test_a_vanishing_parameter_does_not_delay_the_others():
     """An inertia with its minimum at a negative value goes to zero as a logarithm; the rest is fitted soon."""
     inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
