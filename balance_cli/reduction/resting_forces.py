@@ -92,7 +92,7 @@ def _mean_forces(
 
     run, live = record.recorded or record.run, record.health.live
     waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)
-    for force, d, f in record_force_histories(waveform, source.system):
+    for force, d, f in record_force_histories(waveform, source.system, run.rotor_speed or 0.0):
         place, loads = source.system.equations.springs[force.spring], _equivalent_loads(source.system, force)
         # The contribution that was removed from the channels has no mean over the record, whatever part is reduced.
         values, mean = force.values.value, float(f.mean())

@@ -70,9 +70,13 @@ class StaticWaveform:
         """Frequency [Hz] of the K bins, zero."""
         return np.zeros(len(self.projection))
 
-    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
+    def to_time_domain(self, amplitudes: ComplexArray, is_fine: bool = False) -> Array:
         """The values (m, ...) at the points."""
         return np.asarray(amplitudes.real)
+
+    def to_amplitudes(self, values: Array) -> ComplexArray:
+        """The values (m,) themselves."""
+        return values.astype(complex)
 
     def to_bins(self, values: Array) -> ComplexArray:
         """Values (m, ...) at the points as lines (K, ...)."""

@@ -62,7 +62,7 @@ class Waveform(Protocol):
 
     @property
     def share(self) -> Array:
-        """Weight (F, c) of each channel among the channels of its spring."""
+        """Weight (F, c) of each channel among those of its spring; zero where the filter leaves nothing to measure."""
         ...
 
     @property
@@ -110,8 +110,12 @@ class Waveform(Protocol):
         """Frequencies (R,) [Hz] of the bins."""
         ...
 
-    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
-        """Amplitudes (F, ...) as a function of time (n, ...)."""
+    def to_time_domain(self, amplitudes: ComplexArray, is_fine: bool = False) -> Array:
+        """Amplitudes (F, ...) as a function of time (n, ...); `is_fine`: for a function of it that has kinks."""
+        ...
+
+    def to_amplitudes(self, values: Array) -> ComplexArray:
+        """A function of time (n,) as amplitudes (F,)."""
         ...
 
     def to_bins(self, values: Array) -> ComplexArray:

@@ -115,7 +115,7 @@ def waveform_from_samples(
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
     volts = volts * _wiener_gain(amplitudes, variance, smoothing_lines)
-    share = channel_shares(geometry, lines.channel_names, frequency, variance)
+    share = channel_shares(geometry, lines.channel_names, frequency, variance) * _is_passed(passed)[:, None]
     return SampledWaveform(frequency, volts, share, n, bin_index, passed[bin_index])
 
 
@@ -146,10 +146,15 @@ def _undo_anti_alias_filter(
     n = len(samples)
     frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
     passed = anti_alias_response(geometry.acquisition, frequency)
-    is_passed = np.abs(passed) >= LEAST_FILTER_GAIN
+    is_passed = _is_passed(passed)
     amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
     volts = np.where(is_passed[:, None], amplitudes / np.where(is_passed, passed, 1.0)[:, None], 0.0)
     return amplitudes, volts, frequency, passed
+
+
+def _is_passed(filter_response: ComplexArray) -> NDArray[np.bool_]:
+    """Where (F,) the anti-alias filter leaves enough to measure."""
+    return np.asarray(np.abs(filter_response) >= LEAST_FILTER_GAIN)
 
 
 def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: Geometry) -> SampledWaveform:
@@ -158,7 +163,7 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
     The channels of a spring are weighted as if their noises were equal.
     """
     _, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
-    share = channel_shares(geometry, live, frequency, np.ones(len(live)))
+    share = channel_shares(geometry, live, frequency, np.ones(len(live))) * _is_passed(passed)[:, None]
     indices = [geometry.channel_names.index(name) for name in live]
     wide = np.zeros((len(volts), len(geometry.channels)), complex)
     wide_share = np.zeros(wide.shape)

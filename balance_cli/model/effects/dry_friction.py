@@ -71,8 +71,8 @@ def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     spring = equations.springs.index(where[0])
     shape = partial(_friction_force, least_force=LEAST_FORCE_SHARE * _cell(geometry, where).full_range)
-    force = CellForce(spring, stack([values["force"], values["stick_stiffness"]]), shape, read=False, held=_held_force)
-    return equations.with_force(force)
+    contact = stack([values["force"], values["stick_stiffness"]])
+    return equations.with_force(CellForce(spring, contact, shape, read=False, held=_held_force, has_kinks=True))
 
 
 def _friction_force(d: Dual, values: Dual, is_periodic: bool, least_force: float) -> Dual:

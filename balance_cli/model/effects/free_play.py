@@ -52,7 +52,7 @@ def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     spring = equations.springs.index(where[0])
-    force = CellForce(spring, stack([values["stiffness"], values["gap"]]), _beyond_gap, read=False)
+    force = CellForce(spring, stack([values["stiffness"], values["gap"]]), _beyond_gap, read=False, has_kinks=True)
     return equations.with_force(force)
 
 

@@ -92,7 +92,8 @@ class CellForce:
     d (n,) over time, the values, and whether the n elongations are periodic (otherwise the spring was unloaded before
     the first). `read`: the force acts inside the cell, whose channels read it; beside the cell they do not.
     `held`, of a force with a memory: the largest size [N] that it may keep at rest, by the values (q,) and by the
-    distance [m] through which d has moved since nobody knew it; None of forces that d alone determines.
+    distance [m] through which d has moved since nobody knew it; None of forces that d alone determines. `has_kinks`:
+    its slope jumps, so that its spectrum is wide.
     """
 
     spring: int
@@ -100,6 +101,7 @@ class CellForce:
     shape: Callable[[Dual, Dual, bool], Dual]
     read: bool
     held: Callable[[Array, float], float] | None = None
+    has_kinks: bool = False
 
 
 @dataclass(frozen=True)
