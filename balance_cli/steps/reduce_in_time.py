@@ -29,7 +29,7 @@ from balance_cli.reduction.kalman.filter_tuning import (
     fit_random_loads,
     uninformative_loads,
 )
-from balance_cli.reduction.kalman.filtering import filtered_estimates, fixed_lag_estimates
+from balance_cli.reduction.kalman.filtering import filtered_estimates
 from balance_cli.reduction.kalman.innovations import InnovationSums, InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadHistory, LoadTrack
 from balance_cli.reduction.kalman.load_recorder import LoadRecorder, RecorderSettings
@@ -277,10 +277,8 @@ def _run_filters(setup: _RunSetup, filters: RunFilters, options: TimeOptions) ->
     beginning = round(INITIAL_STATE_TIME / setup.system.step)
     if options.smooth:
         return smoothed_estimates(setup.read, setup.data_quality.segments, filters, beginning)
-    lag = round(options.lag / setup.system.step)
-    if lag:
-        return fixed_lag_estimates(setup.read, setup.data_quality.segments, filters, beginning, lag)
-    return filtered_estimates(setup.read, setup.data_quality.segments, filters, beginning)
+    lag = round(options.lag / setup.system.step) or None
+    return filtered_estimates(setup.read, setup.data_quality.segments, filters, beginning, lag)
 
 
 def _recorder_settings(setup: _RunSetup, harmonic_result: RunLoads, options: TimeOptions) -> RecorderSettings:

@@ -31,14 +31,16 @@ Array = NDArray[np.float64]
 
 
 def filtered_estimates(
-    read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int
+    read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int, lag: int | None = None
 ) -> Iterator[Estimates]:
-    """Yield the loads at each sample given the samples up to it.
+    """Yield the loads at each sample given the samples up to it, or up to `lag` after it.
 
     The initial state of the record is estimated from its first `beginning` samples, because an error of the initial
-    state would decay slowly at the steady gain.
+    state would decay slowly at the steady gain. With a lag that of each segment is, from as many samples as the lag at
+    least; a filter that varies with time uses up to twice as many, and no estimate uses samples beyond a gap.
     """
     x, P = np.zeros(len(filters.prior)), filters.prior
+    samples = max(beginning, lag or 0)
     for segment in segments:
         if not segment.channels:
             for first, stop in blocks(segment, GAP_BLOCK):
@@ -48,15 +50,19 @@ def filtered_estimates(
             continue
         channel_filter = filters.channel_filters[segment.channels]
         excess_covariance = symmetrize(P - channel_filter.at(segment.start).P)
-        if segment is segments[0]:
-            x = estimate_initial_state(read, segment, channel_filter, x, excess_covariance, beginning)
+        if lag is not None or segment is segments[0]:
+            x = estimate_initial_state(read, segment, channel_filter, x, excess_covariance, samples)
             excess_covariance = posterior_excess(
-                excess_covariance, segment_information(channel_filter, segment, beginning)
+                excess_covariance, segment_information(channel_filter, segment, samples)
             )
+        edges = None if lag is None else _SegmentEdges(channel_filter, segment, excess_covariance, lag)
         for first, stop in blocks(segment):
             filter_block = channel_filter.forward_pass(first, read(first, stop, segment.channels), x)
             x = filter_block.end
-            yield _filter_block_estimates(channel_filter, filter_block, segment, excess_covariance)
+            if edges is None:
+                yield _filter_block_estimates(channel_filter, filter_block, segment, excess_covariance)
+            else:
+                yield edges.fixed_lag_block(edges.with_samples_ahead(filter_block, read, stop), stop - first)
         P = channel_filter.at(segment.stop - 1).P + propagate_excess(channel_filter, excess_covariance, segment)
 
 
@@ -74,42 +80,6 @@ def _filter_block_estimates(
     return assemble_estimates(channel_filter, filter_block, outputs, marked_outputs, False, segment, added)
 
 
-def fixed_lag_estimates(
-    read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int, lag: int
-) -> Iterator[Estimates]:
-    """Yield the loads at each sample given the samples up to `lag` after it; otherwise as `filtered_estimates`.
-
-    A filter that varies with time uses up to twice as many. No estimate uses samples beyond a gap.
-    """
-    x, P = np.zeros(len(filters.prior)), filters.prior
-    for segment in segments:
-        if not segment.channels:
-            for first, stop in blocks(segment, GAP_BLOCK):
-                segment_block, P = predict_through_gap(Segment(first, stop, ()), filters, x, P)
-                yield gap_estimates(segment_block, filters)
-                x = segment_block.filter_block.end
-            continue
-        channel_filter = filters.channel_filters[segment.channels]
-        excess_covariance = symmetrize(P - channel_filter.at(segment.start).P)
-        x = estimate_initial_state(read, segment, channel_filter, x, excess_covariance, max(beginning, lag))
-        edges = _SegmentEdges(
-            channel_filter,
-            segment,
-            posterior_excess(excess_covariance, segment_information(channel_filter, segment, max(beginning, lag))),
-            lag,
-        )
-        for first, stop in blocks(segment):
-            filter_block = channel_filter.forward_pass(first, read(first, stop, segment.channels), x)
-            x = filter_block.end
-            if stop < segment.stop:
-                ahead = channel_filter.forward_pass(
-                    stop, read(stop, min(stop + lag, segment.stop), segment.channels), x
-                )
-                filter_block = filter_block.with_innovations(ahead.innovation)
-            yield edges.fixed_lag_block(filter_block, stop - first)
-        P = channel_filter.at(segment.stop - 1).P + propagate_excess(channel_filter, edges.excess_covariance, segment)
-
-
 @dataclass(frozen=True)
 class _SegmentEdges:
     """A segment with a fixed lag: what its start and its end add to the variance of an output."""
@@ -118,6 +88,14 @@ class _SegmentEdges:
     segment: Segment
     excess_covariance: Array
     lag: int
+
+    def with_samples_ahead(self, filter_block: FilterBlock, read: Reader, stop: int) -> FilterBlock:
+        """Append the innovations of the samples after a block that ends at `stop`, up to the lag."""
+        if stop == self.segment.stop:
+            return filter_block
+        following = read(stop, min(stop + self.lag, self.segment.stop), self.segment.channels)
+        ahead = self.channel_filter.forward_pass(stop, following, filter_block.end)
+        return filter_block.with_innovations(ahead.innovation)
 
     def fixed_lag_block(self, filter_block: FilterBlock, count: int) -> Estimates:
         """Return the first `count` samples of a block, each given `lag` samples more or as many as there are."""

@@ -9,7 +9,7 @@ import pytest
 
 from balance_cli.reduction.kalman.augmented_model import sampled_system
 from balance_cli.reduction.kalman.azimuth_locked import SPEED_SUBDIVISIONS, AzimuthLockedFilter
-from balance_cli.reduction.kalman.filtering import filtered_estimates, fixed_lag_estimates
+from balance_cli.reduction.kalman.filtering import filtered_estimates
 from balance_cli.reduction.kalman.segments import segment_information
 from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from balance_cli.reduction.kalman.steady_filter import SteadyFilter
@@ -154,10 +154,9 @@ def test_errors_are_as_large_as_stated_while_the_speed_moves(moving, kind):
     for channels, loads in zip(y, u, strict=True):
         if kind == "smoother":
             estimates = smoothed_estimates(_read(channels), segments, filters, BEGINNING)
-        elif kind == "lag":
-            estimates = fixed_lag_estimates(_read(channels), segments, filters, BEGINNING, 100)
         else:
-            estimates = filtered_estimates(_read(channels), segments, filters, BEGINNING)
+            lag = 100 if kind == "lag" else None
+            estimates = filtered_estimates(_read(channels), segments, filters, BEGINNING, lag)
         found, variance = _joined(estimates)
         errors.append(((found - loads) / np.sqrt(variance))[BEGINNING:])
     errors = np.array(errors)
@@ -203,6 +202,6 @@ def test_a_lag_uses_no_later_samples(moving):
     (filters, segments), _, _, (y, _, _) = moving
     changed = y[0].copy()
     changed[1000:] += 100.0
-    one, other = (_joined(fixed_lag_estimates(_read(v), segments, filters, BEGINNING, 40))[0] for v in (y[0], changed))
+    one, other = (_joined(filtered_estimates(_read(v), segments, filters, BEGINNING, 40))[0] for v in (y[0], changed))
     assert np.array_equal(one[:920], other[:920])
     assert np.abs(one[999] - other[999]).max() > 1.0

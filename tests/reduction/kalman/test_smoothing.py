@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.reduction.kalman import segments as segments_module
 from balance_cli.reduction.kalman.discretization import SampledModel
-from balance_cli.reduction.kalman.filtering import filtered_estimates, fixed_lag_estimates
+from balance_cli.reduction.kalman.filtering import filtered_estimates
 from balance_cli.reduction.kalman.segments import Segment
 from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from tests.support.kalman_models import Array, condition_on_samples, draw_samples, small_model, steady_filters
@@ -89,7 +89,7 @@ def test_filter_states_how_far_it_errs_after_a_gap():
 def test_lag_is_conditioning_on_so_many_samples_more(monkeypatch):
     monkeypatch.setattr(segments_module, "BLOCK", 50)
     y, _ = draw_samples(MODEL, 160)
-    outputs, variance = _joined(fixed_lag_estimates(_read(y), WHOLE, steady_filters(MODEL, WHOLE), 60, 3))
+    outputs, variance = _joined(filtered_estimates(_read(y), WHOLE, steady_filters(MODEL, WHOLE), 60, 3))
     mean, exact = condition_on_samples(MODEL, y, _mask(WHOLE), until=np.minimum(np.arange(160) + 3, 159))
     assert np.abs(outputs - mean)[60:].max() < 1e-3 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0)[60:].max() < 1e-3
@@ -116,7 +116,7 @@ def test_large_free_inputs_are_joint_estimation_of_inputs_and_states():
     model = SampledModel(joint, np.diag([1e-9, 1e-9, 100.0]), np.hstack([H, np.zeros((3, 1))]), np.eye(3)[2:])
     y, _ = draw_samples(SampledModel(joint, np.diag([1e-9, 1e-9, 4.0]), model.H, model.U), 400, seed=3)
     lag = 4
-    outputs, variance = _joined(fixed_lag_estimates(_read(y), LONG, steady_filters(model, LONG), 10, lag))
+    outputs, variance = _joined(filtered_estimates(_read(y), LONG, steady_filters(model, LONG), 10, lag))
     for k in (340, 370, 390):
         unbiased = _unbiased_inputs(F, B, H, y, k + lag)[k]
         assert np.abs(outputs[k] - unbiased).max() < 1e-3 * np.sqrt(variance[k]).max()
