@@ -199,7 +199,13 @@ def summaries(tmp_path_factory):
         "runs": [{"run": "zero", "kind": "zero", "duration": 0.5}, {"run": "s", "kind": "static", "largest": {"Fz": 9}}]
     }
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
-    hall = {"exciters": {"Fz": {"rms": 80}}, "change_minutes": 1, "periods": [2], "effects": ["low-pass", "time-delay"]}
+    hall = {
+        "exciters": {"Fz": {"rms": 80}},
+        "change_minutes": 1,
+        "period": 1.0,
+        "periods": [2],
+        "effects": ["low-pass", "time-delay"],
+    }
     (folder / "hall.yaml").write_text(yaml.safe_dump({"format": "balance-hall/1", **hall}))
     names = ("static-bare", "sweep-Fz-high", "check-1", "wind-1")
     static, sweep, check, wind = (str(data / f"{name}.h5") for name in names)
