@@ -13,13 +13,6 @@ from balance_cli.model.system_response import Solution, response
 ComplexArray = NDArray[np.complex128]
 
 
-def exciter_response(system: System, solution: Solution) -> ComplexArray:
-    """T (f, c, 6) per unit of the loads that the exciters' force cells measure, all of them attached."""
-    lines = np.arange(len(solution.frequency))
-    attached = np.ones((len(lines), 6), bool)
-    return np.asarray(response(system, solution) @ true_load_matrices(system, solution, lines, attached))
-
-
 def recorded_load_columns(batch: Batch, system: System, solution: Solution) -> ComplexArray:
     """T (K, c, u) of each line per unit of its recorded loads, with all that lies between these and the true ones."""
     index, components = batch.lines.index, batch.lines.components

@@ -11,11 +11,11 @@ from balance_cli.estimation.equation_error import equation_error, fit_equation_e
 from balance_cli.estimation.inner_products import information_product, real_inner_product
 from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
+from tests.support.exciter_response import exciter_response
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 
 FREQUENCY = np.linspace(3.0, 120.0, 40)

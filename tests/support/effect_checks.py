@@ -16,7 +16,6 @@ from balance_cli.estimation.identified_model import IdentifiedModel, identified_
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects import Effect
 from balance_cli.model.exciter_loads import true_load_derivatives, true_loads
@@ -37,6 +36,7 @@ from balance_cli.simulation import (
 )
 from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.steps.identify import identified_effects, identify
+from tests.support.exciter_response import exciter_response
 from tests.support.rigs import rotor_balance
 
 

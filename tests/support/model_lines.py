@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.model.system_response import solve
 from balance_cli.signals.run_spectrum import RunSpectrum
+from tests.support.exciter_response import exciter_response
 
 LOAD = 40.0
 
