@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.matrix_text import CORRELATION, FORMAT, READABLE_FORMAT
 from balance_cli.io.errors import UserError
-from balance_cli.io.spreadsheet import name_of_cell
+from balance_cli.io.formula_cells import name_of_cell
 
 Array = NDArray[np.float64]
 

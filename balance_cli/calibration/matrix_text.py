@@ -15,7 +15,7 @@ import numpy as np
 from balance_cli.calibration.matrix import CalibrationMatrix, term_unit
 from balance_cli.calibration.terms import all_terms
 from balance_cli.campaign.rig.components import UNIT_OF
-from balance_cli.io.spreadsheet import text_cell
+from balance_cli.io.formula_cells import text_cell
 
 FORMAT = "balance-matrix/1"
 READABLE_FORMAT = f"{FORMAT} for reading"

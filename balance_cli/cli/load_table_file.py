@@ -10,7 +10,7 @@ from balance_cli.cli.common import Session
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import LOADS_FORMAT
-from balance_cli.io.spreadsheet import text_cell
+from balance_cli.io.formula_cells import text_cell
 from balance_cli.reduction.choices import TABLE_SUFFIXES
 
 if TYPE_CHECKING:

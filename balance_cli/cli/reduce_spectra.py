@@ -12,8 +12,8 @@ from balance_cli.cli.common import Session
 from balance_cli.cli.load_text import number_pair
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import SPECTRA_FORMAT
+from balance_cli.io.formula_cells import text_cell
 from balance_cli.io.result_view import plural
-from balance_cli.io.spreadsheet import text_cell
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run

@@ -15,7 +15,7 @@ from balance_cli.cli.load_text import blade_harmonic
 from balance_cli.cli.options import InputFile, InputFolder, OutputFile
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import LOADS_FORMAT, MODEL_FORMAT
-from balance_cli.io.spreadsheet import text_cell
+from balance_cli.io.formula_cells import text_cell
 
 if TYPE_CHECKING:
     from balance_cli.cli.trend_text import TrendResult

@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.formula_cells import text_cell
 from balance_cli.io.result_view import ResultView
-from balance_cli.io.spreadsheet import text_cell
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, load_table
 

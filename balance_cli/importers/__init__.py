@@ -22,7 +22,7 @@ from balance_cli.importers.base import (
 )
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, require_file
-from balance_cli.io.text_cells import require_plain_text
+from balance_cli.io.text_format import require_plain_text
 
 FORMATS = ("tdms", "mdf", "mat", "hdf5", "wav", "parquet", "uff", "text")
 """Modules in the order in which they are asked. A file of MATLAB 7.3 is also one of HDF5, and any other file may be

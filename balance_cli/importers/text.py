@@ -14,7 +14,7 @@ from balance_cli.importers.text_rows import Rows, index_rows
 from balance_cli.importers.text_table import TextTable
 from balance_cli.importers.time_columns import filled_rows, parts_by_time
 from balance_cli.io.errors import UserError
-from balance_cli.io.text_cells import find_encoding
+from balance_cli.io.text_format import find_encoding
 
 NAME = "text"
 TEXT_CONTROLS = bytes(range(9)) + bytes(range(14, 27)) + b"\x7f"

@@ -16,7 +16,7 @@ from balance_cli.importers.text_clock import CLOCK
 from balance_cli.importers.text_names import KEY, counts_rows, names_and_units
 from balance_cli.importers.time_columns import time_columns
 from balance_cli.io.errors import UserError
-from balance_cli.io.text_cells import SEPARATORS, is_remark
+from balance_cli.io.text_format import SEPARATORS, is_remark
 from balance_cli.io.text_numbers import group_sign, is_missing, is_number, require_clear_decimals
 
 NUMERIC_SHARE = 0.5

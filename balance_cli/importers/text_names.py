@@ -9,7 +9,7 @@ from balance_cli.importers.base import TextLayout
 from balance_cli.importers.scope_heads import counts_samples
 from balance_cli.importers.text_clock import CLOCK
 from balance_cli.io.errors import UserError
-from balance_cli.io.text_cells import REMARKS
+from balance_cli.io.text_format import REMARKS
 from balance_cli.io.text_numbers import is_missing, is_number
 from balance_cli.io.units import is_unit, split_unit
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.importers.text_layout import Columns, split_cells
 from balance_cli.io.errors import UserError
-from balance_cli.io.text_cells import is_remark
+from balance_cli.io.text_format import is_remark
 
 INDEXED_ROWS = 8192
 """Rows between the noted positions in the file."""

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
 from balance_cli.io.table_rows import require_even_rows, separate_rows, unnamed_columns
-from balance_cli.io.text_cells import SEPARATORS, find_encoding, is_remark, require_plain_text
+from balance_cli.io.text_format import SEPARATORS, find_encoding, is_remark, require_plain_text
 from balance_cli.io.text_numbers import FILLER_RATIO, fillers_as_missing, is_grouped, is_missing
 from balance_cli.io.units import is_unit
 

@@ -1,4 +1,4 @@
-"""Names in tables for spreadsheets, which take a cell that begins with certain characters for a formula.
+"""Names as cells of tables for spreadsheets, which take a cell that begins with certain characters for a formula.
 
 A formula in a name from another file can start programs when the table is opened (CSV injection, CWE-1236). An
 apostrophe before the name makes it text, as spreadsheets do themselves.
