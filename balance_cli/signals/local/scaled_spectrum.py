@@ -20,6 +20,10 @@ RATIONAL_LINES = 81
 """Least lines in a window of a rational model: several for each of its coefficients."""
 LEAST_POWER_SHARE = 1e-4
 """Power of a load, over that where it is strong, from which a line counts as excited (-40 dB)."""
+END_SHARE = 0.0185
+"""Of the record, at either end, within which a load excites no line: its spectrum turns so slowly from line to line
+that a transient numerator of degree d describes it up to (d + 1) / (pi M) of the record, 2 % with d = 4, M = 81 lines,
+some of which the half sine takes. The response to such a load passes for the transient of the start or end."""
 IMPACT_POWER_SHARE = 1e-3
 """The same of a hammer (-30 dB): the spectrum of a hit falls off, and beyond its first zero the noise decides."""
 LEAST_INDEPENDENCE = 1e-6
@@ -77,7 +81,8 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
     c = len(channel_names)
     inside = (frequency >= band[0]) & (frequency <= band[1])
     is_hammer = run.excitation == IMPACT
-    excited = inside & (has_power(Z[:, c:], IMPACT_POWER_SHARE) if is_hammer else is_within_power(applied))
+    covered = inside & (has_power(Z[:, c:], IMPACT_POWER_SHARE) if is_hammer else is_within_power(applied))
+    excited = covered if is_hammer else covered & is_within_power(applied, END_SHARE)
     if np.count_nonzero(excited) < RATIONAL_LINES:
         raise run_error(run, "the record is too short, or its loads too narrow in frequency", "Record for longer")
     if np.median(load_independence(local_power(Z[excited, c:]))) < LEAST_INDEPENDENCE:
@@ -85,7 +90,7 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
             run, "the loads excited at once are proportional to each other", "Excite with different phases", "loads"
         )
     margin = RATIONAL_LINES // 2
-    selection = slice(max(int(np.argmax(excited)) - margin, 0), len(Z) - int(np.argmax(excited[::-1])) + margin)
+    selection = slice(max(int(np.argmax(covered)) - margin, 0), len(Z) - int(np.argmax(covered[::-1])) + margin)
     channel_scale = _nonzero_rms(Z[selection, :c])
     load_scale = _nonzero_rms(Z[selection, c:])
     return ScaledSpectrum(
@@ -130,15 +135,18 @@ def has_power(loads: ComplexArray, share: float = LEAST_POWER_SHARE) -> NDArray[
     return np.asarray(np.any(power > share * np.maximum(strong, 1e-300), axis=1))
 
 
-def is_within_power(samples: Array) -> NDArray[np.bool_]:
+def is_within_power(samples: Array, end_share: float = 0.0) -> NDArray[np.bool_]:
     """Return whether (K,) some load (n, u) has power on both sides of each line of its record but frequency zero.
+
+    Power within the share `end_share` of the record at either end does not count.
 
     Each within half a window: a response is interpolated there. Beyond the band of the loads it would be extrapolated,
     and the lines of a record that does not repeat do not show where that ends, because they leak. Those of the record
     under half a sine do not, and even the first and last thousandths of a sweep are seen in them.
     """
     n = len(samples)
-    taper = np.sin(np.pi * (np.arange(n) + 0.5) / n)
+    position = ((np.arange(n) + 0.5) / n - end_share) / (1.0 - 2.0 * end_share)
+    taper = np.sin(np.pi * np.clip(position, 0.0, 1.0))
     power = np.abs(np.fft.rfft(samples * taper[:, None], axis=0)[1 : (n + 1) // 2]) ** 2
     width = min(RATIONAL_LINES // 2, len(power))
     total = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(power, axis=0)])
