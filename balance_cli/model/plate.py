@@ -82,7 +82,15 @@ def plate_matrices(geometry: Geometry) -> PlateMatrices:
     return PlateMatrices(geometry.freedom, M, D, K, B, C, F)
 
 
+LEAST_HEIGHT_SHARE = 0.1
+"""Height of the hub, over its distance from the origin, below which the rotor stands beside the plate: a tail rotor on
+an axis along y. Its height may be millimeters, or zero, and does not show the size of the rig."""
+
+
 def moment_reference_length(hub: Sequence[float]) -> float:
-    """Length [m] that makes moments comparable with forces: the height of the hub above the plate."""
-    height = abs(float(hub[2]))
-    return height if height > 0 else 1.0
+    """Length [m] that makes moments comparable with forces: the height of the hub above the plate.
+
+    For a hub beside the plate it is the distance from the origin, and 1 m for one at the origin.
+    """
+    height, distance = abs(float(hub[2])), float(np.linalg.norm(hub))
+    return height if height > LEAST_HEIGHT_SHARE * distance else distance or 1.0

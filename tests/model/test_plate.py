@@ -6,7 +6,7 @@ import pytest
 from balance_cli.campaign.rig.kinematics import elongation_matrix, motion_at
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.campaign.rig.mass_properties import metric_side
-from balance_cli.model.plate import load_matrix, mass_matrix, plate_matrices
+from balance_cli.model.plate import load_matrix, mass_matrix, moment_reference_length, plate_matrices
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
 
@@ -92,3 +92,19 @@ def test_an_inclined_cell_measures_along_its_axis():
     cell = {"name": "z", "position": [0, 0, 0], "axis": [1, 0, 1], "stiffness": 1.0, "full_range": 1.0}
     row = elongation_matrix(one_degree_of_freedom(cells=[cell]), np.zeros(3))[0]
     np.testing.assert_allclose(row[:3], np.array([1, 0, 1]) / np.sqrt(2))
+
+
+@pytest.mark.parametrize(
+    ("hub", "length"),
+    [
+        ([0.0, 0.0, 0.78], 0.78),
+        ([0.01, -0.02, -0.7], 0.7),
+        ([0.0, 0.25, 0.0], 0.25),
+        ([0.0, 0.25, 0.002], 0.25),
+        ([2.5, -0.4, 0.05], 2.532),
+        ([0.0, 0.0, 0.0], 1.0),
+    ],
+)
+def test_moments_are_compared_over_the_height_of_the_hub_or_its_distance_beside_the_plate(hub, length):
+    """An axis along y has its hub at any height: with 2 mm, a moment of 2 N mm had been as large as a force of 1 N."""
+    assert moment_reference_length(hub) == pytest.approx(length, rel=1e-3)
