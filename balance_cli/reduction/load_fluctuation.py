@@ -88,7 +88,7 @@ def add_load_fluctuation(record: RotorRecord, geometry: Geometry, source: Respon
     scale = np.maximum(scale, LEAST_NOISE * np.abs(spectra.amplitude[:, columns]).max(axis=0))
     covariance = spectra.covariance.copy()
     for h in beside_mode:
-        values = lines.values[h, lines.keep[h]][:, columns]
+        values = np.sqrt(lines.factor[h]) * lines.values[h, lines.keep[h]][:, columns]
         try:
             added = _excess(T[h] / scale[:, None], grids[h], values / scale)
         except np.linalg.LinAlgError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,14 +21,14 @@ from balance_cli.reduction.flags import (
     join_flags,
 )
 from balance_cli.reduction.kalman.innovations import InnovationTests, rms_autocorrelation, slow_power
+from balance_cli.reduction.record_lines import lines_of_record
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
-from balance_cli.signals.record_spectrum import RecordSpectrum
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
-from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine, unmodelled_lines
+from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -157,7 +156,7 @@ def _lines_and_steadiness(
     changes from window to window though the loads are constant. A record with such findings is examined again without
     that change, over time without the harmonics.
     """
-    lines = _unmodelled_lines(record, source)
+    lines = lines_of_record(record, source)
     steadiness = examine_steadiness(record, geometry, source, static, sigma)
     if all(line.turns_with_rotor for line in lines) and not steadiness.unsteady[1:].any():
         return lines, steadiness
@@ -166,20 +165,7 @@ def _lines_and_steadiness(
         return lines, steadiness
     constant_response = response if even is not record else None
     steadiness = examine_steadiness(even, geometry, source, static, sigma, constant_response)
-    return _unmodelled_lines(even, source, even.residual_spectrum), steadiness
-
-
-def _unmodelled_lines(
-    record: RotorRecord, source: ResponseSource, over_time: RecordSpectrum | None = None
-) -> tuple[UnmodelledLine, ...]:
-    """Return the lines beside the harmonics; none at named frequencies: who names them knows that there are others.
-
-    `over_time` is the spectrum for tones that do not turn with the rotor, by default that of the record.
-    """
-    if record.fixed_frequency:
-        return ()
-    n, gain = len(record.spectra.frequency_hz) - 1, _power_gain(record, source)
-    return unmodelled_lines(record.spectrum_over_time, record.azimuth, n, gain, record.other_rotors, over_time)
+    return lines_of_record(even, source, even.residual_spectrum), steadiness
 
 
 def _reached_loads(
@@ -204,15 +190,6 @@ def _reached_loads(
         leak = line.amplitude / (np.pi * periods * sigma_channel)
         reached |= leak[:, None] * noise > LEAST_LEAK * sigma
     return reached
-
-
-def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array], Array] | None:
-    """Return |T|^2 (k, c, 6) of the live channels at k frequencies; None where the rows of the response are others."""
-    live = record.health.live
-    picked = source.channel_combination(record.spectra.frequency_hz[1:2], live)
-    if not picked.rows_are_channels:
-        return None
-    return lambda frequency: np.abs(source.at(frequency, record.spin)[:, picked.rows]) ** 2
 
 
 def sensor_count(geometry: Geometry, live: tuple[str, ...]) -> int:

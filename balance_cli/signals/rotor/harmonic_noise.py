@@ -22,6 +22,8 @@ falls off by 18 dB an octave.
 """
 INNERMOST_LINE = 3
 """Lines from a harmonic to the first line that is used: those nearer hold the harmonic itself."""
+AROUND = 4
+"""Lines on either side of a harmonic in which tones beside it are sought; a record of ten revolutions has as many."""
 OUTERMOST_LINE = 48
 """Lines from a harmonic to the last line that is used: 1.6 Hz in a record of 30 s, within the width of most modes."""
 WIDEST_OFFSET = 0.4
@@ -81,13 +83,16 @@ class PooledNoise:
 class NoiseLines:
     """Lines (n, k, c) at `offsets` (k,) from harmonics 1 to n, without the tones and free decays of the regression.
 
-    The mean of z z* over the lines that hold noise alone, `keep` (n, k), is the covariance of a harmonic in noise of a
-    flat spectrum.
+    The mean of z z* over the lines that hold noise alone, `keep` (n, k), times `factor` (n,) is the covariance of a
+    harmonic in noise of a flat spectrum. `around` (n, 2 AROUND + 1, c) are those from AROUND lines before a harmonic to
+    as many after it, with the harmonic itself, and with phases that count from the beginning of the interval.
     """
 
     values: ComplexArray
     offsets: Array
     keep: Flags
+    factor: Array
+    around: ComplexArray
 
 
 def pooled_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:

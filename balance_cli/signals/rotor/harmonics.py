@@ -17,6 +17,7 @@ from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonic_noise import (
+    AROUND,
     NoiseLines,
     blackman_taper,
     line_offsets,
@@ -231,10 +232,8 @@ def read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array
 
 def _empty_sums(highest_line: int, fitted_count: int, other: int, count: int) -> _NormalEquations:
     columns = 2 * fitted_count + 1 + other
-    turning, border = np.zeros(2 * fitted_count + 1, complex), np.zeros((other, columns))
-    return _NormalEquations(
-        turning, border, np.zeros((columns, count)), LineSums(highest_line, count + other), np.zeros(4)
-    )
+    turning, border, lines = np.zeros(2 * fitted_count + 1, complex), np.zeros((other, columns)), count + other
+    return _NormalEquations(turning, border, np.zeros((columns, count)), LineSums(highest_line, lines), np.zeros(4))
 
 
 def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_count: int) -> None:
@@ -284,15 +283,17 @@ def _amplitude_covariance(
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
     variance_ratio = (w2 / w**2) / (q2 / q**2)
     innermost = mean_line_offsets(turns)
-    beside = turns * np.arange(1, n + 1)[:, None] + offsets.astype(np.int64)
+    every = np.concatenate([offsets, np.arange(-AROUND, AROUND + 1)]).astype(np.int64)
+    beside = turns * np.arange(1, n + 1)[:, None] + every
     lines = sums.lines.at(np.concatenate([innermost.astype(np.int64), beside.ravel()])) * (2.0 / q)
     lines, of_others = np.split(lines, [amplitude.shape[1]], axis=1)
     to_start = np.exp(2j * np.pi * innermost * revolutions[0] / turns)  # lines count azimuth from the first pulse
     mean = mean_noise(to_start[:, None] * lines[: len(innermost)], innermost, amplitude[0].real)
-    pooled = pooled_noise(lines[len(innermost) :].reshape(*beside.shape, -1), offsets)
+    pooled = pooled_noise(lines[len(innermost) :].reshape(*beside.shape, -1)[:, : len(offsets)], offsets)
     factor = variance_ratio * _of_cosine_and_sine(regression.variance_inflation(), n)
     covariance = factor[:, None, None] * np.concatenate([mean.covariance[None], pooled.covariance])
     rest = (lines - of_others @ regression.solve_others(sums.moment))[len(innermost) :].reshape(*beside.shape, -1)
-    keep = noise_only_lines(np.abs(rest) ** 2, offsets)
-    noise_lines = NoiseLines(np.sqrt(factor[1:])[:, None, None] * rest, offsets, keep)
+    around = rest[:, len(offsets) :] * np.exp(2j * np.pi * every[len(offsets) :] * revolutions[0] / turns)[:, None]
+    clean = np.asarray(rest[:, : len(offsets)], complex)
+    noise_lines = NoiseLines(clean, offsets, noise_only_lines(np.abs(clean) ** 2, offsets), factor[1:].real, around)
     return covariance, np.concatenate([mean.dof[None], pooled.dof]), noise_lines
