@@ -57,12 +57,10 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     for name, shape, kind in listed:
         if name.startswith("__"):
             continue  # what MATLAB keeps for itself, such as the workspace of functions
-        if kind in NUMERIC_CLASSES and len(shape) == 2:
-            if max(shape) > 1 and min(shape) > 0:
-                groups.append(_lazy_group(name, shape, load))
-            elif shape == (1, 1) and (value := scalar_of(load(name))) is not None:
-                scalars[name] = value
-        elif kind in ("struct", "cell"):
+        is_matrix = kind in NUMERIC_CLASSES and len(shape) == 2
+        if is_matrix and max(shape) > 1 and min(shape) > 0:
+            groups.append(_lazy_group(name, shape, load))
+        elif kind in ("struct", "cell") or (is_matrix and shape == (1, 1)):
             for member, values in _members(name, load(name)):
                 if (value := scalar_of(values)) is not None:
                     scalars[member] = value
