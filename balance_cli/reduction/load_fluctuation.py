@@ -78,7 +78,8 @@ def add_load_fluctuation(record: RotorRecord, geometry: Geometry, source: Respon
     turns = spectra.revolutions[1] - spectra.revolutions[0]
     T = _response_around(spectra, response, _outermost(lines), turns)
     T = T[..., [COMPONENTS.index(name) for name in record.components]]
-    grids = [_line_grid(lines, h, turns) for h in range(len(T))]
+    lobes = _lobes(turns)
+    grids = [_line_grid(lines, h, *lobes) for h in range(len(T))]
     sigma = np.sqrt(np.einsum("hcc->hc", spectra.covariance[1:, columns][:, :, columns]).real)
     sigma = np.maximum(sigma, np.finfo(float).tiny)
     beside_mode = [h for h, grid in enumerate(grids) if _gain(T[h] / sigma[h, :, None], grid) > LEAST_GAIN]
@@ -116,14 +117,19 @@ def _outermost(lines: NoiseLines) -> int:
     return (int(np.abs(lines.offsets).max()) + LOBE) * NODES
 
 
-def _line_grid(lines: NoiseLines, h: int, turns: int) -> _LineGrid:
-    outermost, reach = _outermost(lines), np.arange(-LOBE * NODES, LOBE * NODES + 1)
+def _lobes(turns: int) -> tuple[Array, Array]:
+    """Return the lobes of a line beside the harmonics and of a harmonic: the same ones for all of them."""
+    bins = np.arange(-LOBE * NODES, LOBE * NODES + 1) / NODES
     share = (np.arange(LOBE_POINTS) + 0.5) / LOBE_POINTS
-    lobe = _lobe(blackman_taper(share), reach / NODES)
+    return _lobe(blackman_taper(share), bins), _lobe(edge_weight(share * turns, 0, turns), bins)
+
+
+def _line_grid(lines: NoiseLines, h: int, lobe: Array, lobe_of_harmonic: Array) -> _LineGrid:
+    outermost, reach = _outermost(lines), np.arange(-LOBE * NODES, LOBE * NODES + 1)
     at = outermost + NODES * lines.offsets[lines.keep[h]].astype(np.int64)[:, None] + reach
     of_lines = np.bincount(at.ravel(), np.tile(lobe, len(at)), 2 * outermost + 1) / len(at)
     of_harmonic = np.zeros_like(of_lines)
-    of_harmonic[outermost + reach] = _lobe(edge_weight(share * turns, 0, turns), reach / NODES)
+    of_harmonic[outermost + reach] = lobe_of_harmonic
     return _LineGrid(at, lobe, of_lines, of_harmonic)
 
 
