@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidates, suspected_candidates
-from balance_cli.diagnosis.search.common_channels import add_common_effect
 from balance_cli.diagnosis.search.initial_candidates import InitialCandidates
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fit_with_candidate, restart
 from balance_cli.diagnosis.search.restarts import restart_one_by_one
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.search.whole_fits import add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.model.balance import BalanceModel
 
@@ -57,7 +57,7 @@ def search(
     result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
     for initial_set in initial_sets:
         result = _add_initial_candidate(result, initial_set, lines, settings)
-    result = result.add(*add_common_effect(result.state, lines, settings))
+    result = result.add(*add_by_whole_fit(result.state, lines, settings))
     for word in settings.suspected:
         pool = suspected_candidates(word, result.state.geometry)
         added = search_round(result.state, lines, 1, pool, settings) if pool else RoundResult(None)

@@ -1,4 +1,4 @@
-"""A delay of all channels that a fit has taken for damping is found; where little is missing nothing is tried."""
+"""A delay that a fit has taken for damping is found, and a support as soft as the balance; else nothing is tried."""
 
 from dataclasses import replace
 
@@ -7,9 +7,9 @@ import pytest
 
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.search.common_channels import add_common_effect
 from balance_cli.diagnosis.search.refit import fit_until_stable
 from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.search.whole_fits import add_by_whole_fit
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
@@ -27,9 +27,9 @@ def natural_frequencies():
     return modes(model.system(model.parameters.value)).frequency
 
 
-def late_lines(delay):
-    """Lines of two sweeps of the rig, all channels late by `delay` [s]."""
-    model, rng = balance_model(RIG), np.random.default_rng(5)
+def lines_of(rig, delay=0.0):
+    """Lines of two sweeps of a rig, all channels late by `delay` [s]."""
+    model, rng = balance_model(rig), np.random.default_rng(5)
     frequency = np.linspace(0.1, 2.0, 120) * natural_frequencies().min()
     runs = [model_lines(model, name, i, frequency, NOISE, rng, delay) for name, i in (("Fz", 2), ("My", 4))]
     batches = stack_runs(runs, (), RIG.channel_names)
@@ -45,14 +45,14 @@ def fitted_state(lines, *effects):
 def late():
     """A delay of a fifth of the period of the lowest mode, 72 degrees there."""
     delay = 0.2 / natural_frequencies().min()
-    lines = late_lines(delay)
+    lines = lines_of(RIG, delay)
     return delay, lines, fitted_state(lines)
 
 
 def test_a_delay_that_damping_has_imitated_is_found(late):
     delay, lines, state = late
     assert state.error > SETTINGS.rounds.gross_error
-    found, trials, alternatives = add_common_effect(state, lines, SETTINGS)
+    found, trials, alternatives = add_by_whole_fit(state, lines, SETTINGS)
     label = f"time-delay@{GROUP}"
     assert [trial.label for trial in trials if trial.decision == "accepted"] == [label]
     assert label in alternatives
@@ -62,7 +62,7 @@ def test_a_delay_that_damping_has_imitated_is_found(late):
 
 def test_the_effect_is_not_tried_where_it_is_excluded(late):
     _, lines, state = late
-    _, trials, _ = add_common_effect(state, lines, replace(SETTINGS, excluded=("time-delay",)))
+    _, trials, _ = add_by_whole_fit(state, lines, replace(SETTINGS, excluded=("time-delay",)))
     assert trials and not [trial for trial in trials if trial.label.startswith("time-delay")]
 
 
@@ -70,10 +70,25 @@ def test_an_effect_of_the_model_is_not_added_again(late):
     delay, lines, _ = late
     present = DeclaredEffect(name="time-delay", where=(GROUP,), parameters={"delay": delay})
     state = fitted_state(lines, present)
-    assert add_common_effect(state, lines, SETTINGS) == (state, (), {})
+    assert add_by_whole_fit(state, lines, SETTINGS) == (state, (), {})
 
 
 def test_nothing_is_tried_where_little_is_missing():
-    lines = late_lines(1e-3 / natural_frequencies().min())
+    lines = lines_of(RIG, 1e-3 / natural_frequencies().min())
     state = fitted_state(lines)
-    assert add_common_effect(state, lines, SETTINGS) == (state, (), {})
+    assert add_by_whole_fit(state, lines, SETTINGS) == (state, (), {})
+
+
+def test_a_support_as_heavy_and_as_soft_as_the_balance_is_found():
+    """Its own eigenfrequency is that of the balance: the pair of modes is at 0.62 and 1.62 of it (golden ratio)."""
+    stiffness = sum(cell.stiffness for cell in RIG.cells)
+    truth = {"mass": RIG.bodies[0].mass, "compliance_z": 1.0 / stiffness, "damping_ratio": 0.01}
+    support = DeclaredEffect(name="support-flexibility", where=("z",), parameters=truth)
+    lines = lines_of(RIG.model_copy(update={"effects": (support,)}))
+    state = fitted_state(lines)
+    assert state.error > SETTINGS.rounds.gross_error
+    found, trials, _ = add_by_whole_fit(state, lines, SETTINGS)
+    (label,) = [trial.label for trial in trials if trial.decision == "accepted"]
+    assert label.startswith("support-flexibility@z") and found.error < 3 * NOISE
+    fitted = dict(zip(found.model.parameters.names, found.theta.tolist(), strict=True))
+    assert fitted[f"{label}.compliance_z"] == pytest.approx(1.0 / stiffness, rel=0.02)

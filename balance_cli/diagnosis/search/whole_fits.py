@@ -1,15 +1,19 @@
-"""Effects that all channels share, tried by whole fits where a model misses a large part of the response.
+"""Effects that are tried by whole fits where a model misses a large part of the response: their scores are too small.
 
 A delay of all channels against the loads (a command recorded in place of the force, one late box) turns the phase at
 a resonance by tens of degrees. A fit without it ends at a damping far above the declared one, which turns the phase in
 the same way, and there the score of the delay is small. With the effect in the model a regression on the equations of
 motion comes near the truth (`estimation.starting_values`). The channels of a cell cannot show such an effect, as all
 have it.
+
+A support as soft and as heavy as the balance splits a mode in two far from its place. A fit without it ends between
+the two, where no small compliance helps; a mode of free shape and a false gain of the load would describe more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
@@ -25,7 +29,7 @@ from balance_cli.estimation.starting_values import start_from_equations_of_motio
 REASON = "the model misses a large part of the response, and a whole fit with it describes more"
 
 
-def add_common_effect(
+def add_by_whole_fit(
     state: SearchState, lines: SearchLines, settings: SearchSettings
 ) -> tuple[SearchState, tuple[Trial, ...], dict[str, dict[str, float]]]:
     """Return the state with the common effect that describes most, the trials, and the gains of all by its label.
@@ -35,7 +39,11 @@ def add_common_effect(
     limits = settings.rounds
     if state.error <= limits.gross_error:
         return state, (), {}
-    ends = {item.label: _whole_fit(state, item, lines, settings) for item in _common_candidates(state, settings)}
+    ends = dict[str, SearchState]()
+    for item in (*_common_candidates(state, settings), *_large_bodies(state, settings)):
+        end = _whole_fit(state, item, lines, settings)
+        if item.label not in ends or end.fit_criterion < ends[item.label].fit_criterion:
+            ends[item.label] = end
     gains = {
         label: state.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(state.theta))
         for label, end in ends.items()
@@ -61,6 +69,17 @@ def _common_candidates(state: SearchState, settings: SearchSettings) -> Sequence
         if item.placed_effect.where == (place,)
         and item.effect.search.channel_ratio is not None
         and not item.effect.search.channel_ratio.sensitivity
+    ]
+
+
+def _large_bodies(state: SearchState, settings: SearchSettings) -> Sequence[Candidate]:
+    """The effects that bring a further body, begun from each of their restarts, which are far from their null."""
+    pool = candidates(state.geometry, excluded=settings.excluded)
+    return [
+        replace(item, starts=({**item.starts[0], **values},))
+        for item in pool
+        if item.effect.search.restarts is not None and item.effect.search.point_mass is None
+        for values in item.effect.search.restarts(state.geometry, item.placed_effect.where)
     ]
 
 
