@@ -14,7 +14,12 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.free_decays import LARGEST_RESPONSE_CHANGE, response_is_constant, with_free_decays
+from balance_cli.reduction.free_decays import (
+    LARGEST_RESPONSE_CHANGE,
+    response_is_constant,
+    with_free_decays,
+    with_high_pass_decays,
+)
 from balance_cli.reduction.response_sources import ResponseSource, usable_channels
 from balance_cli.reduction.speed_modulation import without_speed_modulation
 from balance_cli.signals.record_spectrum import RecordSpectrum, record_spectrum
@@ -182,6 +187,7 @@ def _record(
     start = _steady_revolution(run, azimuth, source, health)
     signals = health.live + (COMPONENTS if run.has_loads else ())
     lines = with_free_decays(other, run, azimuth, start, source)
+    lines = with_high_pass_decays(lines, azimuth, start, geometry, health.live)
 
     def harmonics(of: Run, beside: OtherLines) -> Harmonics:
         return estimate_harmonics(of, azimuth, max_harmonic, names=signals, first_revolution=start, other=beside)

@@ -41,9 +41,13 @@ def record(request, source):
         drift_period=5.0,
     )
     run, truth = simulate_run(true_rig(LIGHT), plan, NO_NOISE, 2)
+    return _with_noise(run), truth
+
+
+def _with_noise(run):
     channels = run.read().channels
     noise = NOISE * np.random.default_rng(4).standard_normal(channels.shape)
-    return replace(run, source=MemorySource(channels + noise, None)), truth
+    return replace(run, source=MemorySource(channels + noise, None))
 
 
 def _errors(run, truth, source):
@@ -99,3 +103,39 @@ def test_a_decay_leaves_the_regression_once_it_has_faded():
     assert remaining.exponents == (-0.8 + 142.0j,)
     assert remaining.basis(time) == pytest.approx(lines.basis(time)[columns], rel=1e-12)
     assert np.abs(np.delete(lines.basis(time), columns, axis=0)).max() < 1e-9
+
+
+def test_high_passes_that_a_start_has_set_in_motion_are_fitted(source, monkeypatch):
+    """Twelve revolutions from rest last half of a time constant: its decay leaks into 1/rev of the piezo channels."""
+    speed = 0.3 * source.model.modes.frequency[0]
+    plan = RotorPlan(
+        run="wind",
+        kind="wind",
+        harmonics=dict.fromkeys(("Fx", "Fy", "Fz"), (20.0, 10.0)),
+        sample_rate=1000.0,
+        duration=12.2 / speed,
+        rotor_speed=speed,
+    )
+    run = _with_noise(simulate_run(true_rig(LIGHT), plan, NO_NOISE, 2)[0])
+
+    def misfit():
+        solved = harmonic_loads.harmonic_loads(rotor_record.rotor_record(run, LIGHT, source, 2), LIGHT, source)
+        return solved.redundancy_chi2[0] / solved.limit[0]
+
+    assert misfit() < 1.0
+    monkeypatch.setattr(free_decays, "HIGH_PASS_TIME_CONSTANTS", 0.0)
+    assert misfit() > 3.0
+
+
+def test_the_decay_of_a_high_pass_has_no_mean_and_does_not_fade():
+    lines = OtherLines((7.0,), (-7.4 + 372.0j,), start=1.0, rates=(0.5, 2.0), duration=6.0)
+    time = 1.0 + (np.arange(60_000) + 0.5) * 1e-4
+    basis = lines.basis(time)
+    assert basis.shape == (lines.columns, len(time))
+    assert basis[-2:].mean(axis=1) == pytest.approx(0.0, abs=1e-8)
+    assert basis[-2:, 10_000:] - basis[-2:, -1:] == pytest.approx(
+        np.exp(-np.outer((0.5, 2.0), time[10_000:] - 1.0)) - np.exp(-np.outer((0.5, 2.0), time[-1:] - 1.0)), abs=1e-12
+    )
+    remaining, columns = lines.remaining(6.9)
+    assert remaining.exponents == () and remaining.rates == lines.rates
+    assert remaining.basis(time) == pytest.approx(basis[columns], rel=1e-12)

@@ -26,16 +26,22 @@ UNEVEN = 1e-12
 
 @dataclass(frozen=True)
 class OtherLines:
-    """Tones at constant `frequencies` [Hz], and free decays exp(s (t - start)) from `start` [s] on, s [1/s]."""
+    """Tones at constant `frequencies` [Hz], and free decays exp(s (t - start)) from `start` [s] on, s [1/s].
+
+    High-passes decay with real `rates` [1/s]: exp(-r (t - start)), less its mean over `duration` [s], so that the mean
+    of a channel keeps its variance.
+    """
 
     frequencies: tuple[float, ...] = ()
     exponents: tuple[complex, ...] = ()
     start: float = 0.0
+    rates: tuple[float, ...] = ()
+    duration: float = 0.0
 
     @property
     def columns(self) -> int:
         """The number of columns of the basis."""
-        return 2 * (len(self.frequencies) + len(self.exponents))
+        return 2 * (len(self.frequencies) + len(self.exponents)) + len(self.rates)
 
     def basis(self, time: Array) -> Array:
         """Return cosines and sines (columns, m) at `time` (m,) [s]; a decay has its first value before its start."""
@@ -44,8 +50,11 @@ class OtherLines:
         angle = 2.0 * np.pi * np.outer(self.frequencies, time)
         np.cos(angle, out=basis[:tones])
         np.sin(angle, out=basis[tones : 2 * tones])
-        decays = self._decays(np.maximum(time - self.start, 0.0))
-        basis[2 * tones : 2 * tones + count], basis[2 * tones + count :] = decays.real, decays.imag
+        since_start, last = np.maximum(time - self.start, 0.0), 2 * (tones + count)
+        decays = self._decays(since_start)
+        basis[2 * tones : 2 * tones + count], basis[2 * tones + count : last] = decays.real, decays.imag
+        for row, rate in zip(basis[last:], self.rates, strict=True):
+            row[:] = np.exp(-rate * since_start) + np.expm1(-rate * self.duration) / (rate * self.duration)
         return basis
 
     def remaining(self, time: float) -> tuple[OtherLines, NDArray[np.int64]]:
@@ -53,7 +62,8 @@ class OtherLines:
         tones, count = len(self.frequencies), len(self.exponents)
         rates = -np.array(self.exponents, complex).real
         kept = np.flatnonzero(rates * (time - self.start) < FADED_TIME_CONSTANTS)
-        columns = np.concatenate([np.arange(2 * tones), 2 * tones + kept, 2 * tones + count + kept])
+        of_rates = 2 * (tones + count) + np.arange(len(self.rates))
+        columns = np.concatenate([np.arange(2 * tones), 2 * tones + kept, 2 * tones + count + kept, of_rates])
         return replace(self, exponents=tuple(self.exponents[k] for k in kept)), columns
 
     def _decays(self, time: Array) -> ComplexArray:
