@@ -25,8 +25,8 @@ DECAY_TIME_CONSTANTS = 12.0
 amplitudes lets one see. A mode at 122.5 Hz with a damping ratio of 0.0003, 28 % of whose transient were left, had
 changed a load at 120 Hz by 14 standard deviations."""
 HIGH_PASS_TIME_CONSTANTS = 7.0
-"""Time constants of a high-pass up to which its decay is fitted. Of a longer record the search for the end of the start
-transient leaves out what does not decay within (`rotor_record.TRANSIENT_TIME_CONSTANTS`)."""
+"""Time constants of a high-pass up to which a record has its decay fitted. In a longer one it fades early; the search
+for the end of the start transient leaves that part out (`rotor_record.TRANSIENT_TIME_CONSTANTS`)."""
 KEPT_SYSTEMS = 4
 """Systems, speeds and sample rates whose modes are kept: the runs of a batch have few of them."""
 LARGEST_RESPONSE_CHANGE = 1e-3
