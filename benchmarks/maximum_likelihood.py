@@ -27,7 +27,7 @@ from balance_cli.estimation.likelihood import data_chi2, evaluate_batch
 from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.estimation.recorded_loads import exciter_response
+from balance_cli.estimation.recorded_loads import recorded_load_columns
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
@@ -119,8 +119,8 @@ def _whiten_residual(batch: Batch, factor: NDArray[np.complex128], system: Syste
     The transients are subtracted from z; the rows of their priors follow.
     """
     solution = solve(system, batch.frequency, batch.spin)
-    T, transients = exciter_response(system, solution), evaluate_batch(batch, system, solution).transients
-    columns = T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
+    columns = recorded_load_columns(batch, system, solution)
+    transients = evaluate_batch(batch, system, solution).transients
     M = np.concatenate([columns, np.broadcast_to(np.eye(columns.shape[2]), (len(columns), *2 * columns.shape[2:]))], 1)
     channels = batch.lines.channels.copy()
     for transient in transients:
