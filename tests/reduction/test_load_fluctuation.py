@@ -5,7 +5,7 @@ import pytest
 
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.harmonic_loads import harmonic_loads
-from balance_cli.reduction.load_fluctuation import add_load_fluctuation
+from balance_cli.reduction.load_fluctuation import NODES, add_load_fluctuation
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.simulation import Noise, RotorPlan, simulate_run, true_rig
@@ -76,3 +76,14 @@ def test_start_transients_are_no_gusts(source):
     with_gusts = add_load_fluctuation(record, LIGHT, source)
     ratio = _sigma(_solved(with_gusts, source)) / _sigma(_solved(record, source))
     assert np.all(ratio < 2.0)
+
+
+def test_the_response_is_computed_between_bins_beside_modes_alone(source, monkeypatch):
+    record, _ = _record(source, 40, 0, 0.1)
+    asked, respond = [], ModelSource.at
+    monkeypatch.setattr(ModelSource, "at", lambda self, f, spin: asked.append(len(f)) or respond(self, f, spin))
+    changed = add_load_fluctuation(record, LIGHT, source).spectra.covariance != record.spectra.covariance
+    beside = np.flatnonzero(changed.any(axis=(1, 2)))
+    assert beside.tolist() == [HARMONIC, 3]
+    in_bins, at_nodes = asked
+    assert at_nodes == pytest.approx(NODES * in_bins * len(beside) / 3, rel=0.05)

@@ -6,6 +6,7 @@ which is not one of the rotor, leaves beside it the lobe of d. A load that steps
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,12 +49,7 @@ class NearTones:
 def find_near_tones(lines: NoiseLines, columns: list[int]) -> NearTones:
     """Return the tone beside each harmonic that explains the lines of the channels best; zero where none does."""
     around, values = lines.around[:, :, columns], lines.values[:, :, columns]
-    bins = np.arange(-AROUND, AROUND + 1, dtype=float)
-    harmonic = _lobe(bins)
-    harmonic /= np.linalg.norm(harmonic)
-    tones = np.stack([_lobe(bins - d) for d in DISTANCES])
-    tones = tones - np.outer(tones @ harmonic.conj(), harmonic)
-    size = np.linalg.norm(tones, axis=1)
+    harmonic, tones, size = _lobes()
     power = np.where(lines.keep[:, :, None], np.abs(values) ** 2, np.nan)
     noise = np.nanmedian(power, axis=1) / MEDIAN_OF_EXPONENTIAL + np.finfo(float).tiny
     left = around - harmonic[:, None] * np.einsum("b,nbc->nc", harmonic.conj(), around)[:, None]
@@ -72,8 +68,16 @@ def find_near_tones(lines: NoiseLines, columns: list[int]) -> NearTones:
     return NearTones(DISTANCES[best], amplitude, power, least)
 
 
-def _lobe(bins: Array) -> ComplexArray:
-    """Return the lines of a tapered tone of unit amplitude at distances from it [bins]."""
+@functools.cache
+def _lobes() -> tuple[ComplexArray, ComplexArray, Array]:
+    """Return the lines (b,) of a tapered harmonic and of unit tones (d, b) at each distance, and the sizes of these.
+
+    The harmonic has size one, and the tones are without what the harmonic has of them.
+    """
     share = (np.arange(LOBE_POINTS) + 0.5) / LOBE_POINTS
     taper = blackman_taper(share)
-    return np.asarray(np.exp(-2j * np.pi * np.outer(bins, share)) @ taper / taper.sum())
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(-AROUND, AROUND + 1), share)) * (taper / taper.sum())
+    harmonic, tones = waves.sum(axis=1), np.exp(2j * np.pi * np.outer(DISTANCES, share)) @ waves.T
+    harmonic /= np.linalg.norm(harmonic)
+    tones -= np.outer(tones @ harmonic.conj(), harmonic)
+    return harmonic, tones, np.linalg.norm(tones, axis=1)
