@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
-from balance_cli.signals.rotor.counts import revolution_crossings
+from balance_cli.signals.rotor.counts import COUNTS_REMEDY, revolution_crossings
 from balance_cli.signals.rotor.edges import (
     Edges,
     Levels,
@@ -30,6 +30,7 @@ MOST_EXAMINED = 2**16
 """Samples by which an angle is told from pulses: a minute at 1 kHz."""
 NEIGHBORS = 9
 """Intervals of the running median."""
+PULSES_REMEDY = "Correct `level`, `slope` or `pulses_per_revolution`"
 INDEX_REMEDY = "Correct `pulses_per_revolution` and `index`, or give another tachometer channel"
 
 
@@ -92,13 +93,9 @@ def read_rotor_reference(read: ReadSamples, samples: int, rate: float, settings:
     try:
         azimuth = azimuth_from_pulses(times, smooth=False)
     except UserError as error:
-        raise _tachometer_error(error) from error
+        remedy = COUNTS_REMEDY if settings.kind == "counts" else PULSES_REMEDY
+        raise UserError(error.fault, place="tachometer", remedy=remedy) from error
     return _reference(azimuth, notes, settings)
-
-
-def _tachometer_error(error: UserError) -> UserError:
-    """The error of pulse times, as that of the tachometer that they were found in."""
-    return UserError(error.fault, place="tachometer", remedy="Correct `level`, `slope` or `pulses_per_revolution`")
 
 
 def _reference(azimuth: Azimuth, notes: list[str], settings: TachometerSettings) -> RotorReference:
@@ -192,7 +189,7 @@ def _once_per_revolution(leading: Array, trailing: Array, settings: TachometerSe
     try:
         teeth = azimuth_from_pulses(leading, smooth=False)
     except UserError as error:
-        raise _tachometer_error(error) from error
+        raise UserError(error.fault, place="tachometer", remedy=PULSES_REMEDY) from error
     notes = [f"azimuth 0 is at the first of {count} pulses a revolution: there is no index that shows which one it is"]
     notes += [note for note in teeth.notes if not note.startswith("pulses scatter")]
     return teeth.time_of(np.arange(0, teeth.turns + 1, count)), notes
