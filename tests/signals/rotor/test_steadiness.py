@@ -40,6 +40,28 @@ def test_a_drift_is_found_and_what_sigma_covers_is_not():
     assert not unsteady(values, np.full(200, 4.0)).any()
 
 
+@pytest.mark.parametrize(("count", "place"), [(10, 4), (11, 6)])
+@pytest.mark.parametrize("part", [1.0, 1j])
+def test_a_step_is_found_in_a_dozen_windows_one_of_which_it_divides(count, place, part):
+    rng = np.random.default_rng(6)
+    shape = np.where(np.arange(count) > place, 20.0, 0.0) + np.where(np.arange(count) == place, 9.0, 0.0)
+    values = 100.0 + part * (shape[:, None] + 0.1 * rng.standard_normal((count, 200)))
+    assert unsteady(values.astype(complex), np.full(200, 1.5)).all()
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+@pytest.mark.parametrize("count", [10, 12, 23])
+def test_few_windows_of_gusts_are_steady(count, correlation):
+    rng = np.random.default_rng(7)
+    noise = rng.standard_normal((count, 20000))
+    noise[0] /= np.sqrt(1.0 - correlation**2)
+    for row in range(1, count):
+        noise[row] += correlation * noise[row - 1]
+    assert unsteady(noise.astype(complex), np.zeros(20000), correlation).sum() <= 2
+    paired = noise[:, :10000] + 1j * noise[:, 10000:]
+    assert unsteady(paired, np.zeros(10000), correlation).sum() <= 2
+
+
 def test_a_short_series_says_nothing():
     assert not unsteady(np.arange(7.0).reshape(7, 1).astype(complex), np.zeros(1)).any()
 
