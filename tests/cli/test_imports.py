@@ -53,3 +53,11 @@ def test_a_command_loads_what_it_needs(folder, name):
     assert HEAVY & set(modules) == set()
     own = [module for module in modules if module.partition(".")[0] == "balance_cli"]
     assert len(own) <= limit
+
+
+def test_docstrings_of_scipy_are_not_parsed():
+    program = "import balance_cli.cli.lean_scipy as lean; lean.import_lean_scipy(); from scipy.fft import rfft; "
+    program += "print(rfft([1.0, 1.0])[0].real); print(rfft.__doc__)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("2.0\nCompute the 1-D discrete Fourier Transform for real input.")
+    assert "Array API" not in done.stdout
