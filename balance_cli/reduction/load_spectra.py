@@ -22,7 +22,7 @@ from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.measured_response import highest_frequency
-from balance_cli.reduction.response_sources import ResponseSource, load_scale, usable_channels
+from balance_cli.reduction.response_sources import ResponseSource, at_rotor_speed, load_scale, usable_channels
 from balance_cli.reduction.spectra_result import RunSpectra
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
@@ -64,6 +64,7 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     Raises UserError where the band holds no frequency of the record or leaves the measured response, no channel is
     usable, or the usable channels do not determine the loads.
     """
+    source = at_rotor_speed(source, run.rotor_speed)
     health = usable_channels(run, geometry, source)
     run = source.remove_nonlinear_contribution(run, health.live)
     first = _first_sample(run, source)

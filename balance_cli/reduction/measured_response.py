@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from balance_cli.reduction.response_sources import (
 )
 
 if TYPE_CHECKING:  # Reductions by a model ask for the type of their source, and interpolate nothing.
+    from balance_cli.reduction.spin_dependence import SpinDependence
     from balance_cli.signals.response.transfer import Transfer
     from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -30,11 +32,19 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+SPIN_NOTE = (
+    "the responses depend on the rotor speed, and some were not measured at that of the run: their change is in sigma; "
+    "sweep all loads with the rotor turning, or reduce by a model with gyroscopic-coupling"
+)
+
+
 @dataclass(frozen=True)
 class TransferSource(ResponseWithoutModel):
     """Measured responses, one per component, interpolated by one of `signals.response.choices.INTERPOLATIONS`.
 
     All have the channels `channel_names`. `channels_left_out` {channel: reason} are those that some of them lack.
+    `at_speeds` are all that were measured, one per component and rotor speed. `response_error` is what the responses
+    miss at the rotor speed of a run, as far as sweeps at several speeds tell.
     """
 
     channel_names: tuple[str, ...]
@@ -42,11 +52,30 @@ class TransferSource(ResponseWithoutModel):
     interpolation: str
     slowest_decay: float = ASSUMED_DECAY
     channels_left_out: dict[str, str] = field(default_factory=dict)
+    at_speeds: tuple[FrequencyResponse, ...] = ()
+    response_error: ResponseError | None = None
+    note: str = ""
 
-    @property
-    def response_error(self) -> ResponseError | None:
-        """None: what was measured contains the error that it has."""
-        return None
+    def at_spin(self, spin: float) -> TransferSource:
+        """Return the responses that belong to a rotor speed [Hz], with what they miss there."""
+        if len(self.at_speeds) == len(self.responses):
+            return self
+        from balance_cli.reduction.spin_dependence import nearest_responses
+
+        responses = nearest_responses(self.at_speeds, self.responses, spin)
+        distance = np.zeros(len(COMPONENTS))
+        for response in responses:
+            distance[COMPONENTS.index(response.components[0])] = abs(spin - response.rotor_speed)
+        if self._spin_dependence is None or not np.any(distance):
+            return replace(self, responses=responses, response_error=None, note="")
+        error = self._spin_dependence.at(distance)
+        return replace(self, responses=responses, response_error=error, note=SPIN_NOTE)
+
+    @cached_property
+    def _spin_dependence(self) -> SpinDependence | None:
+        from balance_cli.reduction.spin_dependence import spin_dependence
+
+        return spin_dependence(self.at_speeds, self.interpolation)
 
     @property
     def is_contradicted(self) -> bool:
@@ -97,10 +126,10 @@ def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
 
     Raises UserError where a component that the rig carries was not excited in any sweep.
     """
-    from balance_cli.signals.response.transfer import response_to_component
+    from balance_cli.signals.response.transfer import response_components, response_to_component
     from balance_cli.signals.response.transfer import select_channels as select_response_channels
 
-    components = dict.fromkeys(name for response in transfer.responses for name in response.components)
+    components = response_components(transfer)
     unmeasured = [name for name in carried_components(transfer.geometry) if name not in components]
     if unmeasured:
         raise UserError(
@@ -109,17 +138,27 @@ def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
             remedy="Add sweeps that excite these loads to `balance sweep-tf`, or reduce by a model",
         )
     measured = {name: response_to_component(transfer, name) for name in components}
+    by_speed = [
+        replace(transfer, responses=tuple(item for item in transfer.responses if item.rotor_speed == speed))
+        for speed in dict.fromkeys(response.rotor_speed for response in transfer.responses)
+    ]
     lacking = {
         channel: [name for name, response in measured.items() if channel not in response.channel_names]
         for channel in transfer.geometry.channel_names
     }
     channels = tuple(channel for channel, loads in lacking.items() if not loads)
+    candidates = [response_to_component(part, name) for part in by_speed for name in response_components(part)]
     reasons = {channel: f"its response to {', '.join(loads)} was not measured" for channel, loads in lacking.items()}
     return TransferSource(
         channels,
         tuple(select_response_channels(response, channels) for response in measured.values()),
         interpolation,
         channels_left_out={channel: reason for channel, reason in reasons.items() if lacking[channel]},
+        at_speeds=tuple(
+            select_response_channels(response, channels)
+            for response in candidates
+            if set(channels) <= set(response.channel_names)
+        ),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,6 +144,15 @@ class ResponseWithoutModel:
     """What all responses share that no model describes: they are linear, and no diagnosis has judged them."""
 
     @property
+    def note(self) -> str:
+        """What is to be known of loads by this response; empty where there is nothing."""
+        return ""
+
+    def at_spin(self, spin: float) -> ResponseSource:
+        """Return the response itself: it does not know the rotor speed."""
+        return cast(ResponseSource, self)
+
+    @property
     def untrusted_channels(self) -> dict[str, str]:
         """None: no diagnosis has judged the channels."""
         return {}
@@ -156,6 +165,11 @@ class ResponseWithoutModel:
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run itself: the response is linear."""
         return run
+
+
+def at_rotor_speed(source: ResponseSource, spin: float) -> ResponseSource:
+    """Return the response that belongs to runs at a rotor speed [Hz]; a model knows all of them."""
+    return source.at_spin(spin) if isinstance(source, ResponseWithoutModel) else source
 
 
 @dataclass(frozen=True)

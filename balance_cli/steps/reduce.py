@@ -23,7 +23,12 @@ from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
 from balance_cli.reduction.reliability import UnnoticedErrors, unnoticed_errors
-from balance_cli.reduction.response_sources import ResponseSource, StaticSource
+from balance_cli.reduction.response_sources import (
+    ResponseSource,
+    ResponseWithoutModel,
+    StaticSource,
+    at_rotor_speed,
+)
 from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
@@ -64,6 +69,7 @@ def reduce_run(
     Raises UserError where the pulses are unusable or the usable channels do not determine the loads.
     """
     options = options or ReduceOptions()
+    source = at_rotor_speed(source, run.rotor_speed)
     record = rotor_record(hold_samples(run), geometry, source, options.harmonics, options.rotor)
     return reduce_record(record, geometry, calibration, source, zero)
 
@@ -101,7 +107,8 @@ def reduce_record(
     shared = (line.description for line in record.confounded)
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
-    further = filter(None, [suspect_note, mean_solution.note])
+    source_note = source.note if isinstance(source, ResponseWithoutModel) else ""
+    further = filter(None, [suspect_note, mean_solution.note, source_note])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
     if static is not None:
         loads = _flag_implausible(loads, static)

@@ -16,7 +16,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.reliability import join_harmonics
-from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.response_sources import ResponseSource, at_rotor_speed
 from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.reduction.rotor_record import count_cycles, tone_record
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
@@ -39,7 +39,7 @@ def reduce_run_at_frequencies(
     Row 0 of the result is the mean, row i the i-th frequency; phases count from the first sample. The tones are
     regressed together. Raises UserError where two frequencies are closer than the record resolves, or as `reduce_run`.
     """
-    given = sorted(set(frequencies))
+    given, source = sorted(set(frequencies)), at_rotor_speed(source, run.rotor_speed)
     resolution = LEAST_SEPARATION * sample_rate(run) / run.samples
     for low, high in pairwise(given):
         if high - low < resolution:
