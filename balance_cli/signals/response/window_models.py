@@ -1,8 +1,8 @@
 """Local models of a measured response in windows of neighboring lines, each fitted once.
 
 A model holds between the lines in the middle of its window, at whatever frequency; the harmonics of the runs of a
-campaign fall into the same windows again and again. Windows are fitted in blocks that do not depend on which of them
-are asked for: results are the same whatever was reduced before.
+campaign fall into the same windows again and again. The fit of a window does not depend on those that are fitted with
+it, not even by rounding: results are the same whatever was reduced before.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ LOCAL_LINES = 11
 INTERPOLATION_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2, 3) for poles in (0, 1, 2, 3))
 LEAST_RELATIVE_SIGMA = 1e-9
 """Least standard deviation over amplitude; a computed response has none."""
-BLOCK = 16
-"""Windows fitted at a time: beyond it the time of a fit grows with their number, below it hardly falls."""
+WINDOWS_AT_ONCE = 128
+"""Windows fitted at a time: of more the time of a fit grows with their number, a single one takes that of twenty."""
 MOST_KEPT = 4096
 """Windows of one response that are kept, of 6 kB each with 15 channels."""
 
@@ -69,31 +69,18 @@ def neighboring_lines(
 def window_models(response: FrequencyResponse, index: Index) -> list[WindowModel]:
     """Return the best local models of windows (h, M) of lines, with orders selected by Akaike's criterion, V + 2 p."""
     kept: dict[bytes, WindowModel] = response.window_models
-    models = []
-    for row in index:
-        key = row.tobytes()
-        if key not in kept:
-            kept |= {model.index.tobytes(): model for model in _fit_block(response, _block_of(response, row))}
-        models.append(kept[key])
+    keys = [row.tobytes() for row in index]
+    new = list({key: row for key, row in zip(keys, index, strict=True) if key not in kept}.values())
+    for start in range(0, len(new), WINDOWS_AT_ONCE):
+        fitted = _fit_windows_of_lines(response, np.array(new[start : start + WINDOWS_AT_ONCE]))
+        kept |= {model.index.tobytes(): model for model in fitted}
+    models = [kept[key] for key in keys]
     for oldest in list(kept)[: max(len(kept) - MOST_KEPT, 0)]:
         del kept[oldest]
     return models
 
 
-def _block_of(response: FrequencyResponse, row: Index) -> Index:
-    """The block (w, M) of windows to which a window belongs: those beside it, with or without a line left out."""
-    K, M = len(response.frequency), len(row)
-    if row[-1] - row[0] == M - 1:
-        start = row[0] // BLOCK * BLOCK
-        return np.asarray(np.arange(start, min(start + BLOCK, K - M + 1))[:, None] + np.arange(M))
-    missing = int(row[0] + np.flatnonzero(np.diff(row) > 1)[0] + 1)
-    start = missing // BLOCK * BLOCK
-    lines = np.arange(start, min(start + BLOCK, K))
-    block = neighboring_lines(response, response.frequency[lines], M, lines)
-    return block if np.any(np.all(block == row, axis=1)) else row[None]
-
-
-def _fit_block(response: FrequencyResponse, index: Index) -> list[WindowModel]:
+def _fit_windows_of_lines(response: FrequencyResponse, index: Index) -> list[WindowModel]:
     """The best local model of each window (h, M)."""
     lines = response.frequency[index]
     center, half = 0.5 * (lines[:, -1] + lines[:, 0]), 0.5 * (lines[:, -1] - lines[:, 0])

@@ -163,18 +163,34 @@ def test_values_do_not_depend_on_what_was_interpolated_before():
     for function in (interpolate_values, interpolate_with_error):
         ours, others = (function(response, frequency, "local") for response in (first, second))
         np.testing.assert_array_equal(getattr(ours, "value", ours), getattr(others, "value", others))
-    assert first.window_models.keys() == second.window_models.keys()
+
+
+def test_the_fit_of_a_window_does_not_depend_on_those_fitted_with_it():
+    """To the last digit, as above: of one window alone, of a few, and of more than are fitted at once."""
+    response, every = measured(), np.arange(300)[:, None] + np.arange(11)
+    together = window_models.window_models(response, every)
+    for rows in (*np.split(np.arange(60, 84), 24), np.arange(290, 300, 3), np.arange(5, 205)):
+        alone = window_models.window_models(measured(), every[rows])
+        for row, model in zip(rows, alone, strict=True):
+            expected = together[row]
+            assert model.fit.orders == expected.fit.orders
+            for name in ("denominator", "coefficients", "triangle", "residual"):
+                np.testing.assert_array_equal(getattr(model.fit, name), getattr(expected.fit, name))
 
 
 def test_windows_are_fitted_once_and_those_of_a_long_response_are_not_all_kept(monkeypatch):
-    response, calls = measured(), []
-    fit = window_models._fit_block
-    monkeypatch.setattr(window_models, "_fit_block", lambda *given: calls.append(1) or fit(*given))
+    response, fitted = measured(), []
+    fit = window_models._fit_windows_of_lines
+    monkeypatch.setattr(
+        window_models, "_fit_windows_of_lines", lambda of, index: fitted.append(len(index)) or fit(of, index)
+    )
     values = interpolate_values(response, np.array([17.3, 35.1]), "local")
-    assert len(calls) == 2
+    assert fitted == [2]
     np.testing.assert_array_equal(interpolate_values(response, np.array([17.3, 35.1]), "local"), values)
     interpolate_response(response, 17.31)
-    assert len(calls) == 2
-    monkeypatch.setattr(window_models, "MOST_KEPT", 20)
-    np.testing.assert_array_equal(interpolate_values(response, np.array([35.1, 17.3]), "local"), values[::-1])
-    assert len(response.window_models) == 20
+    assert fitted == [2]
+    interpolate_values(response, np.array([17.3, 80.1]), "local")
+    assert fitted == [2, 1]
+    monkeypatch.setattr(window_models, "MOST_KEPT", 2)
+    np.testing.assert_array_equal(interpolate_values(response, np.array([35.1, 17.3]), "local"), values[1::-1])
+    assert len(response.window_models) == 2
