@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares
+from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, weighted_rms
 from balance_cli.calibration.load_series import describe_load_series
 from balance_cli.calibration.load_series_reading import SeriesReading, read_load_series
 from balance_cli.calibration.load_series_score import ScheduleRows
 from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.repeated_tares import lack_of_fit_model
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.term_support import find_supported_terms
@@ -204,17 +205,18 @@ def _fit_terms(
         solve_least_squares(X[:, list(selected)], points.channels[used][:, [c]], load_series, w)
         for c, selected in enumerate(channel_terms)
     )
-    return assemble_fit(ChannelFits(points, used, X, tuple(channel_terms), fits), terms, unsupported)
+    fit = assemble_fit(ChannelFits(points, used, X, tuple(channel_terms), fits), terms, unsupported)
+    model, growth = lack_of_fit_model(fit.model, fit.residuals[used], w, points.x[used], load_series)
+    return replace(fit, model=model, zero_covariance=fit.zero_covariance * growth[:, None, None])
 
 
 def assemble_fit(channels: ChannelFits, terms: Sequence[Term], unsupported: dict[Term, str]) -> CalibrationModelFit:
     """The model of all channels, and its errors in all rows, from the fits of the channels."""
-    points, w = channels.points, channels.weight
+    points, w, names = channels.points, channels.weight, channels.points.components
     residuals, press = channels.stack(lambda fit: fit.residuals), channels.stack(lambda fit: fit.press_residuals)
     left_out = channels.stack(lambda fit: fit.cross_validation_errors(channels.load_series))
     dof = np.array([fit.dof for fit in channels.fits], float)
     zeros, zero_covariance = _series_zeros(channels)
-    names = points.components
     model = CalibrationModel(
         channel_names=points.channel_names,
         components=names,
@@ -223,8 +225,8 @@ def assemble_fit(channels: ChannelFits, terms: Sequence[Term], unsupported: dict
         **_coefficient_tables(channels),
         residual_covariance=(residuals.T * w) @ residuals / np.sqrt(dof[:, None] * dof),
         dof=dof,
-        press=_weighted_rms(press, w),
-        cross_validation_rms=_weighted_rms(left_out, w),
+        press=weighted_rms(press, w),
+        cross_validation_rms=weighted_rms(left_out, w),
         load_series=_series_descriptions(points),
         zeros=zeros,
         zero_sigma=np.sqrt(np.diagonal(zero_covariance, axis1=1, axis2=2)).T,
@@ -283,14 +285,6 @@ def _series_descriptions(points: CalibrationPoints) -> tuple[str, ...]:
         run_loads = points.x[points.run == run]
         descriptions.append(describe_load_series(rows - first, points.run_names[run], points.components, run_loads))
     return tuple(descriptions)
-
-
-def _weighted_rms(errors: Array, weight: Array) -> Array:
-    """Weighted rms (c,) over the rows whose error is known."""
-    known = np.isfinite(errors)
-    total = np.sum(np.where(known, weight[:, None], 0.0), axis=0)
-    squares = np.sum(np.where(known, errors, 0.0) ** 2 * weight[:, None], axis=0)
-    return np.asarray(np.sqrt(squares / np.where(total > 0, total, np.nan)))
 
 
 def _expand_to_all_rows(values: Array, used: NDArray[np.bool_]) -> Array:

@@ -259,3 +259,10 @@ def _refine_solution(
         f = np.asarray(y - r - zeros.expand(z) - A @ x, float)
         g, h = np.asarray(-inner_products(A, r), float), np.asarray(-zeros.sums(r), float)
     return x, z - shift @ x, r
+
+
+def weighted_rms(errors: Array, weight: Array) -> Array:
+    """Weighted rms (c,) over the rows whose error is known."""
+    known = np.isfinite(errors)
+    total, squares = weight @ known, weight @ np.where(known, errors, 0.0) ** 2
+    return np.asarray(np.sqrt(squares / np.where(total > 0, total, np.nan)))

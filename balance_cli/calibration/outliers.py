@@ -142,7 +142,7 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     """
     none, misplaced = np.zeros(len(points.weight), bool), misplaced_rows(points)
     gross = gross_outlier_candidates(points)
-    if not gross.any():
+    if not gross.any() or not _is_testable(points, gross):
         return none
     for _ in range(MAX_SCREENINGS):
         fit = fit_calibration_model(points.exclude_rows(gross), choice)
@@ -173,6 +173,12 @@ def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
         if is_explained and _scale(points, fit_to_all, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross)
         else gross
     )
+
+
+def _is_testable(points: CalibrationPoints, rows: Mask) -> bool:
+    """Whether the others than some rows (m,) have a degree of freedom beside the loads: else they pass them exactly."""
+    used = (points.weight > 0) & ~rows
+    return bool(np.count_nonzero(used) - len(np.unique(points.load_series[used])) > len(points.components))
 
 
 def _agrees_unmasked(

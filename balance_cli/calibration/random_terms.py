@@ -20,6 +20,7 @@ from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, ChannelFits, assemble_fit
 from balance_cli.calibration.least_squares import LeastSquares
 from balance_cli.calibration.penalized_regression import solve_penalized
+from balance_cli.calibration.repeated_tares import repeated_tares
 from balance_cli.calibration.selection import MIN_DOF
 from balance_cli.calibration.term_support import MIN_INDEPENDENT_SHARE
 from balance_cli.calibration.terms import (
@@ -210,7 +211,11 @@ def _fit_channels(
     unknown = np.full((len(terms) - k, len(fits)), np.nan)
     model = result.model
     t, p_value, inflation = (np.vstack([v[:k], unknown]) for v in (model.t, model.p_value, model.variance_inflation))
-    return replace(result, model=replace(model, t=t, p_value=p_value, variance_inflation=inflation))
+    # The coefficients' variances and the noise together are told by what zeros, loads and repeated tares leave.
+    tare, series = repeated_tares(points.x[used]), points.load_series[used]
+    repeats = np.count_nonzero(tare) - len(np.unique(series[tare]))
+    dof = np.full(len(fits), max(len(series) - len(np.unique(series)) - k - repeats, 1.0))
+    return replace(result, model=replace(model, t=t, p_value=p_value, variance_inflation=inflation, dof=dof))
 
 
 def _without_slopes(fit: LeastSquares, terms: int, k: int, scatter: float) -> LeastSquares:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.repeated_tares import lack_of_fit_variance, repeated_tares
 from balance_cli.io.errors import UserError
 from balance_cli.signals import distributions as stats
 
@@ -90,14 +91,25 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
     offsets = _run_columns(rows)
     r, k = offsets.shape[1], rows.loads.shape[1]
     X = np.hstack([offsets, rows.loads, rows.uncarried_loads])
-    if len(X) <= X.shape[1]:
-        fault = f"{len(X)} load points for {X.shape[1]} coefficients of each channel"
-        raise UserError(fault, remedy="Apply more load points")
+    spread = np.ptp(rows.loads, axis=0)
+    tare = repeated_tares(rows.loads / np.where(spread > 0, spread, 1.0))
+    points = len(X) - np.count_nonzero(tare) + len(np.unique(rows.run[tare]))
+    if points <= X.shape[1]:
+        fault = f"{points} load points for {X.shape[1]} coefficients of each channel"
+        raise UserError(fault, remedy="Apply more load points, so that some are left that show an error")
     fit = _fit_columns(X, rows, (*[""] * r, *components))
     covariance = (fit.residuals.T * rows.weight) @ fit.residuals / fit.dof
     inner = slice(r, r + k)
     C0 = fit.coefficients[inner].T
     return TrimRegression(fit.coefficients[:r], C0, fit.covariance(inner), fit.residuals, covariance, fit.dof)
+
+
+def lack_of_fit_covariance(covariance: Array, regression: TrimRegression, rows: TrimRows) -> tuple[Array, int]:
+    """Covariance (c, c) [V2] of a row, and its degrees of freedom, from that of all, repeated unloaded ones too."""
+    spread = np.ptp(rows.loads, axis=0)
+    x, dof = rows.loads / np.where(spread > 0, spread, 1.0), np.full(len(covariance), float(regression.dof))
+    growth, dof = lack_of_fit_variance(regression.residuals, rows.weight, x, rows.run, dof)
+    return np.asarray(covariance * np.sqrt(growth[:, None] * growth)), int(dof.min())
 
 
 def zeros_differ(few: TrimRegression, many: TrimRegression) -> bool:

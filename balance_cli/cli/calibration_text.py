@@ -118,7 +118,8 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
     if np.isfinite(trim.lack_of_fit):
         yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
     else:
-        yield "  residual over noise not known: the rows do not show their noise; sigma is that of the residual"
+        of_dof = f", of {trim.dof} degree{'s' * (trim.dof != 1)} of freedom"
+        yield f"  residual over noise not known: the rows do not show it; sigma is that of the residual{of_dof}"
     full_scale_words = "calibrated range" if trim.rated_load is None else "rated load, where one is declared"
     yield f"  component  cal. range  full scale   residual % FS   hysteresis % FS   (full scale: {full_scale_words})"
     for j, name in enumerate(trim.components):

@@ -18,6 +18,7 @@ from balance_cli.calibration.static_matrices import (
     inverse_matrix,
     inverse_sigma,
     known_lack_of_fit,
+    lack_of_fit_covariance,
     loading_directions,
     regress,
     significance,
@@ -203,7 +204,8 @@ def _trim_calibration(task: TrimTask, rows: TrimRows, regression: TrimRegression
     ratio = known_lack_of_fit(residual_covariance, regression.dof, noise, task.noise.dof)
     noise_covariance = noise if np.isfinite(ratio) else residual_covariance
     condition = _condition(task, rows, regression, noise_covariance)
-    T0, derivative = inverse_matrix(regression.C0, weight_covariance(residual_covariance, regression.dof))
+    residual_covariance, dof = lack_of_fit_covariance(residual_covariance, regression, rows)
+    T0, derivative = inverse_matrix(regression.C0, weight_covariance(residual_covariance, dof))
     return TrimCalibration(
         trim=task.label,
         runs=tuple(run.name for run in task.runs),
@@ -219,7 +221,7 @@ def _trim_calibration(task: TrimTask, rows: TrimRows, regression: TrimRegression
         mean_load=np.average(rows.loads, axis=0, weights=rows.weight),
         mean_channels=_mean_channels(rows, regression),
         residual_covariance=residual_covariance,
-        dof=regression.dof,
+        dof=dof,
         noise_covariance=noise_covariance,
         lack_of_fit=ratio,
         calibrated_range=task.calibrated_range,
