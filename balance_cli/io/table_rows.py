@@ -114,7 +114,10 @@ def _plain_word(cell: str) -> str:
 
 
 def _rows_of_means(rows: Sequence[Row], columns: int, parse: ParseNumber) -> list[Row]:
-    """The last rows where one is the mean of those above them, and the others are other statistics of them."""
+    """The last rows where one is the mean of those above them, and the others are other statistics of them.
+
+    None where such a row repeats one above it, as unloaded rows do: their readings are the means of symmetric loads.
+    """
     for count in range(min(MOST_STATISTICS, len(rows) - FEWEST_POINTS), 0, -1):
         points, end = rows[:-count], rows[-count:]
         kinds = [{"mean", *_OTHER_STATISTICS} for _ in end]
@@ -125,7 +128,8 @@ def _rows_of_means(rows: Sequence[Row], columns: int, parse: ParseNumber) -> lis
                 break
         else:
             is_mean = np.array([kind == {"mean"} for kind in kinds])
-            if np.any(is_mean & (means >= FEWEST_MEANS)):
+            is_repeated = not {cells for _, cells in points}.isdisjoint(cells for _, cells in end)
+            if np.any(is_mean & (means >= FEWEST_MEANS)) and not is_repeated:
                 return list(end)
     return []
 

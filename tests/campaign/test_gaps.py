@@ -222,3 +222,21 @@ def test_a_load_point_without_its_load_is_left_out_and_one_load_that_is_often_mi
     loads[5:15, 2] = np.nan
     run = bridge_gaps(replace(whole, source=MemorySource(block.channels, loads)))
     assert run.samples == 40 and [str(fault.fault)[:8] for fault in load_sample_faults(run)] == ["10 of 40"]
+
+
+@pytest.mark.parametrize("repeats", [2, 3])
+@pytest.mark.parametrize("range_in_counts", [30, 500])
+def test_readings_that_a_coarse_converter_repeats_were_not_entered_twice(repeats, range_in_counts):
+    """Of 108 load points, each read twice by a converter that shows no noise, 50 had been left out as copies."""
+    rng = np.random.default_rng(7)
+    steps = np.r_[np.arange(5), np.arange(3, -1, -1)] / 4
+    x = np.vstack([np.outer(side * steps, axis) for axis in np.eye(3) for side in (1, -1)]).repeat(repeats, axis=0)
+    matrix = np.array([[1.0, 0.2, -0.3], [0.1, -0.8, 0.2], [0.3, 0.1, 1.2]])
+    counts = np.round(range_in_counts * x @ matrix + 0.05 * rng.standard_normal(x.shape)) + 37
+    loads = np.hstack([100.0 * x, np.zeros((len(x), 3))])
+    plain = replace(static_run(len(x)), series_labels=None, attitude=None)
+    assert bridge_gaps(replace(plain, source=MemorySource(counts, loads))).samples == len(x)
+    fine = 20000.0 * x @ matrix + np.round(20.0 * rng.standard_normal(x.shape))
+    copied = np.insert(np.arange(len(x)), 12, 12)
+    run = bridge_gaps(replace(plain, samples=len(x) + 1, source=MemorySource(fine[copied], loads[copied])))
+    assert len(run.copied_rows) == 1

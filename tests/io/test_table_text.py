@@ -168,6 +168,20 @@ def test_load_points_like_statistics_remain(tmp_path: Path, line: str) -> None:
     assert len(table(tmp_path, text).rows) == 7
 
 
+def test_an_unloaded_row_at_the_end_of_a_symmetric_schedule_is_a_load_point(tmp_path: Path) -> None:
+    """Its readings are the means of the columns, as those of the first row; a coarse converter shows no difference."""
+    rows = [
+        (0, 37, 41, 52),
+        (10, 87, 31, 60),
+        (20, 137, 21, 68),
+        (-10, -13, 51, 44),
+        (-20, -63, 61, 36),
+        (0, 37, 41, 52),
+    ]
+    text = "Fx,B1,B2,B3\n" + "\n".join(",".join(f"{v:.2f}" for v in row) for row in rows) + "\n"
+    assert len(table(tmp_path, text).rows) == len(rows)
+
+
 @pytest.mark.parametrize("cell", ["2e\N{MINUS SIGN}1", "0e'1", "1.6e-05e9", "0e99999", "x"])
 def test_the_last_rows_are_compared_with_points_that_have_unusual_numbers(tmp_path: Path, cell: str) -> None:
     read = table(tmp_path, points_with([]).replace(",0.25,", f",{cell},"))

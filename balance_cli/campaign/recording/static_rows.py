@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrc
 
 from balance_cli.campaign.recording.additions import AdditionSource, RunAdditions
 from balance_cli.campaign.recording.run import Array, BridgedSamples, MemorySource, Run
@@ -22,6 +23,8 @@ LARGEST_ROW_SHARE = 0.05
 """Of the load points that may be left out: a channel that misses more is faulty, and left out instead of them."""
 FEWEST_COPIED_ROWS = 5
 """Load points that are followed by a copy of all of them; so many do not agree in every digit by accident."""
+COPIES_P_VALUE = 1e-3
+"""P-value of so many equal consecutive rows, below which resolution does not explain them."""
 MOST_LISTED = 10
 """Numbers of load points in a message."""
 FEWEST_ROWS = 10
@@ -98,7 +101,35 @@ def _copied_rows(values: Array, channels: int) -> NDArray[np.bool_]:
         return copied
     copied[1:] = np.all(values[1:] == values[:-1], axis=1)
     loaded = np.any(values[:, channels:] != 0.0, axis=1) & np.any(values[:, :channels] != 0.0, axis=1)
-    return copied if np.any(copied & loaded) else np.zeros(rows, bool)
+    if not np.any(copied & loaded) or _agrees_by_resolution(values[:, :channels], values[:, channels:]):
+        return np.zeros(rows, bool)
+    return copied
+
+
+def _agrees_by_resolution(readings: Array, loads: Array) -> bool:
+    """Whether readings (n, c) at equal loads (n, k) are so coarse that consecutive ones agree in every digit by chance.
+
+    Consecutive ones that do not agree then differ by a unit of the last digit, or others at equal loads agree as often.
+    """
+    group = np.unique(loads, axis=0, return_inverse=True)[1].reshape(-1)
+    order = np.argsort(group, kind="stable")
+    order = order[np.any(readings[order] != 0.0, axis=1)]
+    before, after = order[:-1], order[1:]
+    same = group[before] == group[after]
+    before, after = before[same], after[same]
+    steps = np.max(np.abs(readings[after] - readings[before]) / _last_digits(readings), axis=1)
+    beside, equal = after == before + 1, steps == 0.0
+    if np.any(beside & ~equal) and np.median(steps[beside & ~equal]) < 1.5:
+        return True
+    share = float(np.mean(equal[~beside])) if np.any(~beside) else 0.0
+    return bool(bdtrc(np.sum(equal[beside]) - 1, np.sum(beside), share) > COPIES_P_VALUE)
+
+
+def _last_digits(readings: Array) -> Array:
+    """Unit (c,) of the last digit of readings (n, c): the least of their differences."""
+    gaps = np.diff(np.sort(readings, axis=0), axis=0)
+    rounding = 1e-9 * np.ptp(readings, axis=0)
+    return np.asarray(np.min(np.where(gaps > rounding, gaps, np.inf), axis=0))
 
 
 def _with_rows(run: Run, rows: NDArray[np.intp]) -> Run:
