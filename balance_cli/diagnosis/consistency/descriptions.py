@@ -72,10 +72,17 @@ def _exchange(mistake: Mistake, geometry: Geometry) -> ConsistencyFinding:
         cells = tuple(str(geometry.channels[i].cell) for i in mistake.hypothesis.indices[:2])
         text = f"the channels of {cells[0]} and {cells[1]} are exchanged, or the cells in the geometry"
         return _finding(mistake, kinds.EXCHANGED_CHANNELS, FAULT, text, channels=channels, cells=cells)
-    text = f"{channels[0]} and {channels[1]} are exchanged"
-    for rival in mistake.rivals:
-        text += " (or " + " and ".join(geometry.channel_names[i] for i in rival.indices) + ")"
+    text = f"{channels[0]} and {channels[1]} are exchanged" + _or_rivals(mistake, geometry)
     return _finding(mistake, kinds.EXCHANGED_CHANNELS, FAULT, text, channels=channels)
+
+
+def _rival_names(mistake: Mistake, geometry: Geometry) -> list[str]:
+    """Return the channels that each rival concerns."""
+    return [" and ".join(geometry.channel_names[i] for i in rival.indices) for rival in mistake.rivals]
+
+
+def _or_rivals(mistake: Mistake, geometry: Geometry) -> str:
+    return "".join(f" (or {names})" for names in _rival_names(mistake, geometry))
 
 
 def _channel_factor(
@@ -90,6 +97,7 @@ def _channel_factor(
     if reversed_sign:
         text = f"{' and '.join(names)} {'are' if len(names) > 1 else 'is'} reversed"
         if not whole_cell:
+            text += _or_rivals(mistake, geometry)
             return _finding(mistake, kinds.REVERSED_CHANNEL, FAULT, text, channels=names, factor=factor)
         if mistake.everywhere:
             text += f", or the axis of cell {cells[0]} in the geometry"
@@ -98,6 +106,8 @@ def _channel_factor(
     if factor < 0:
         verb = f"{'are' if len(names) > 1 else 'is'} reversed, and {verb}"
     text = f"{' and '.join(names)} {verb} {abs(factor):.4g} times what the loads make{_hint(abs(factor), VOLT_UNITS)}"
+    if mistake.rivals:
+        text += f" (or {' or '.join(_rival_names(mistake, geometry))} {1.0 / abs(factor):.4g} times)"
     kind = kinds.CHANNEL_FACTOR if factor > 0 else kinds.REVERSED_CHANNEL
     return _finding(mistake, kind, severity, text, channels=names, factor=factor)
 

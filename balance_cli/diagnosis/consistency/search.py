@@ -80,7 +80,7 @@ def _spread(state: State, trial: Trial) -> tuple[Trial, State]:
         index
         for index in rest
         if energy_after(trial.hypothesis, corrected.runs[index], trial.value, corrected.weights[index])
-        < corrected.energy[index].sum()
+        < corrected.energy[index].sum() - SIGNIFICANT
     )
     members = tuple(sorted({*shown, *agree}))
     return replace(trial, members=members), make_state(_undo(state.runs, trial, members), state.by_source)
@@ -126,7 +126,7 @@ def _describe(state: State, corrected: State, best: Trial, trials: Sequence[Tria
         for trial in trials[1:]
         if trial.gain >= (1.0 - TIE) * best.gain and trial.hypothesis.kind == best.hypothesis.kind
         if set(trial.members) == set(best.members) and len(trial.hypothesis.indices) == len(best.hypothesis.indices)
-        if trial.gain_by_geometry >= (1.0 - TIE) * best.gain_by_geometry - SIGNIFICANT
+        if trial.gain_by_predictions >= (1.0 - TIE) * best.gain_by_predictions - SIGNIFICANT
     )
     names = tuple(state.runs[index].run for index in best.members)
     return Mistake(best.hypothesis, best.value, names, everywhere, tuple(sorted(alternatives)), rivals)

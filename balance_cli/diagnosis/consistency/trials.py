@@ -45,7 +45,7 @@ TIE = 1e-2
 
 @dataclass(frozen=True)
 class Trial:
-    """A hypothesis for some runs (indices), its factor, and what it gains, in all and by the geometry.
+    """A hypothesis for some runs (indices), its factor, and what it gains: in all, and by geometry and other runs.
 
     `exceptions`: some of the runs contradict it.
     """
@@ -55,7 +55,7 @@ class Trial:
     value: float
     gain: float
     exceptions: bool = False
-    gain_by_geometry: float = 0.0
+    gain_by_predictions: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def ranked_trials(state: State) -> list[Trial]:
         return []
     best = max(trial.gain for trial in trials)
     near = [trial for trial in trials if trial.gain >= (1.0 - TIE) * best]
-    clear = (1.0 - TIE) * max(trial.gain_by_geometry for trial in near) - SIGNIFICANT
-    first = min(near, key=lambda trial: (trial.exceptions, trial.gain_by_geometry < clear))
+    clear = (1.0 - TIE) * max(trial.gain_by_predictions for trial in near) - SIGNIFICANT
+    first = min(near, key=lambda trial: (trial.exceptions, trial.gain_by_predictions < clear))
     ranked = sorted(trials, key=lambda trial: -trial.gain)
     return [first, *(trial for trial in ranked if trial is not first)]
 
@@ -145,7 +145,10 @@ def changes_residuals(hypothesis: Hypothesis, run: Evidence) -> bool:
 
 
 def _try(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> Trial | None:
-    """Return the hypothesis with its best factor, without the runs that it contradicts; None where it does not pass."""
+    """Return the hypothesis with its best factor, without the runs that it contradicts; None where it does not pass.
+
+    Where only check runs show it, also without the runs that it leaves as they are: sweeps to compare with.
+    """
     exceptions = False
     for _ in range(2):
         energies = _compare(state, hypothesis, members)
@@ -153,12 +156,17 @@ def _try(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> Tria
         supporting = tuple(index for index, gain in zip(members, gains, strict=True) if gain > -SIGNIFICANT)
         if len(supporting) == len(members):
             passed = energies.pass_test(hypothesis)
-            own = float(energies.by_geometry.sum())
+            own = energies.by_predictions
             return Trial(hypothesis, members, energies.factor, float(sum(gains)), exceptions, own) if passed else None
-        if len(supporting) < 2:
+        shown = tuple(index for index, gain in zip(members, gains, strict=True) if gain > SIGNIFICANT)
+        members, exceptions = (supporting if _has_sweeps(state, shown) else shown), True
+        if len(members) < 2:
             return None
-        members, exceptions = supporting, True
     return None
+
+
+def _has_sweeps(state: State, members: tuple[int, ...]) -> bool:
+    return any(state.runs[index].rows.kind == "sweep" for index in members)
 
 
 @dataclass(frozen=True)
@@ -181,6 +189,11 @@ class _Energies:
         """What each run gains by the geometry alone."""
         return np.asarray((self.before - self.after)[:, : self.channels].sum(axis=1))
 
+    @property
+    def by_predictions(self) -> float:
+        """What the runs gain by all but pairs, which tell that two channels differ and not which of them is wrong."""
+        return float((self.before - self.after)[:, : 2 * self.channels].sum())
+
     def pass_test(self, hypothesis: Hypothesis) -> bool:
         """Whether the columns that change lose nearly all of a significant energy, and no evidence becomes worse."""
         changed = np.abs(self.before - self.after) > 1e-9 * (self.before + self.after) + 1e-12
@@ -194,11 +207,14 @@ class _Energies:
 
 
 def _compare(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> _Energies:
-    """Return the energies of a hypothesis in these runs; several are not compared with each other."""
-    effects = []
+    """Return the energies of a hypothesis in these runs; several sweeps are not compared with each other.
+
+    Several check runs are compared with the sweeps, which do not have the mistake.
+    """
+    effects, among = [], len(members) > 1 and _has_sweeps(state, members)
     for index in members:
         weight = without_scaled_pairs(hypothesis, state.runs[index], state.weights[index])
-        weight = replace(weight, runs=np.inf) if len(members) > 1 else weight
+        weight = replace(weight, runs=np.inf) if among else weight
         effects.append(effect_of_mistake(hypothesis, state.runs[index], weight, state.recorded[index]))
     factor = estimate_factor(effects) if hypothesis.has_factor else 0.0
     after = [effect.with_factor(factor) if hypothesis.has_factor else effect.undone for effect in effects]
