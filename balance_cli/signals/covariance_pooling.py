@@ -137,13 +137,14 @@ def pooled_covariance(
     weights = _initial_weights(deviations, counts, floor)
     products = _WindowProducts(deviations, min(width, K), step)
     knots, inverses = (np.empty((len(starts), n, n), complex) for _ in range(2))
-    for _ in range(ROBUST_ITERATIONS):
+    for remaining in reversed(range(ROBUST_ITERATIONS)):
         total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
         changed = products.weigh(weights)
         knots[changed] = products.sums[changed] / total[changed, None, None] + np.diag(floor)
         inverses[changed] = np.linalg.inv(knots[changed])
         pooled = PooledCovariance(knots, inverses, step, K, dof)
-        weights = np.minimum(1.0, bound / mean_distances(pooled, deviations, counts, floor))
+        if remaining:
+            weights = np.minimum(1.0, bound / mean_distances(pooled, deviations, counts, floor))
     return pooled
 
 
