@@ -26,6 +26,8 @@ KERNEL_WIDTH = 14
 KERNEL_SHAPE = 2.30 * KERNEL_WIDTH
 """Exponent of the kernel, for a grid of twice the points that the lines need."""
 OVERSAMPLING = 2
+TRANSFORMED_POINTS = 2**22
+"""Points of the grid that are transformed at once, 34 MB: all columns, unless the record lasts some minutes."""
 QUADRATURE_NODES = 40
 """Nodes of Gauss and Legendre for the transform of the kernel, which is smooth: 28 give 15 digits."""
 TRANSFORM_DEGREE = 14
@@ -63,7 +65,9 @@ class LineSums:
         """Return the sums (..., columns) at whole numbers j."""
         from scipy.fft import rfft
 
-        spectrum = rfft(np.ascontiguousarray(self._grid.T), axis=1)[:, np.abs(lines)]
+        at_once = max(TRANSFORMED_POINTS // len(self._grid), 1)
+        parts = np.split(self._grid, range(at_once, self._grid.shape[1], at_once), axis=1)
+        spectrum = np.concatenate([rfft(np.ascontiguousarray(part.T), axis=1)[:, np.abs(lines)] for part in parts])
         sums = np.where(lines < 0, spectrum.conj(), spectrum) / _kernel_transform(lines / len(self._grid))
         return np.asarray(np.moveaxis(sums, 0, -1))
 

@@ -61,6 +61,8 @@ MATERIAL_CHANGE = 3.0
 
 A smaller change is covered by the uncertainty that the load carries anyway.
 """
+WINDOWED_SAMPLES = 2**17
+"""Samples that are read at a time: with the basis of eight harmonics 35 MB, as other arrays of a long record take."""
 LEAST_EIGENVALUE = 1e-8
 """Of the normal equations of a window, over the largest: they then leave eight digits, else least squares by singular
 values are taken."""
@@ -88,12 +90,22 @@ def windowed_amplitudes(
     edges = np.arange(first, last + 1, length)
     times = azimuth.time_of(edges)
     samples = np.ceil(times * sample_rate(run)).astype(int)
-    psi, _ = azimuth.of_samples(sample_rate(run), int(samples[0]), int(samples[-1]))
-    basis, signals = trigonometric_basis(psi, n), read_channels(run, names, samples[0], samples[-1])
-    cuts = [slice(a, b) for a, b in pairwise((samples - samples[0]).tolist())]
-    empty = np.zeros((0, n + 1, len(names)), complex)
-    values = _amplitudes([basis[:, cut] for cut in cuts], [signals[cut] for cut in cuts], n) if cuts else empty
-    return WindowedAmplitudes(values, tuple(names), length / np.diff(times), length)
+    together = max(WINDOWED_SAMPLES * (len(edges) - 1) // max(int(samples[-1] - samples[0]), 1), 1)
+    groups = [samples[start : start + together + 1] for start in range(0, len(edges) - 1, together)]
+    values = [np.zeros((0, n + 1, len(names)), complex)]
+    values += [_amplitudes_of_group(run, azimuth, names, n, group.tolist()) for group in groups]
+    return WindowedAmplitudes(np.concatenate(values), tuple(names), length / np.diff(times), length)
+
+
+def _amplitudes_of_group(
+    run: Run, azimuth: Azimuth, names: Sequence[str], n: int, samples: Sequence[int]
+) -> ComplexArray:
+    """Return the amplitudes (w, n+1, c) of consecutive windows between these samples (w + 1,)."""
+    start, stop = samples[0], samples[-1]
+    psi, _ = azimuth.of_samples(sample_rate(run), start, stop)
+    basis, signals = trigonometric_basis(psi, n), read_channels(run, names, start, stop)
+    cuts = [slice(a - start, b - start) for a, b in pairwise(samples)]
+    return _amplitudes([basis[:, cut] for cut in cuts], [signals[cut] for cut in cuts], n)
 
 
 def _amplitudes(bases: list[Array], signals: list[Array], n: int) -> ComplexArray:

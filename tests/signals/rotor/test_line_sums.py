@@ -1,8 +1,11 @@
 """The sums over samples against their definition."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
+from balance_cli.signals.rotor import line_sums
 from balance_cli.signals.rotor.harmonic_noise import line_offsets
 from balance_cli.signals.rotor.line_sums import LineSums, unit_powers
 
@@ -36,3 +39,15 @@ def test_a_weak_line_beside_a_strong_one_keeps_its_digits() -> None:
     sums = LineSums(2 * turns, 1)
     sums.add(revolution / turns, signal[:, None])
     assert sums.at(np.array([turns + 5]))[0, 0].real == pytest.approx(0.5e-9 * samples, rel=1e-3)
+
+
+def test_the_columns_of_a_long_record_are_transformed_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    sums, lines = LineSums(20000, 12), np.arange(-5, 20000, 500)
+    rng = np.random.default_rng(5)
+    sums.add(np.sort(rng.uniform(size=4000)), rng.standard_normal((4000, 12)))
+    together, memory = sums.at(lines), 8 * 12 * 80000
+    monkeypatch.setattr(line_sums, "TRANSFORMED_POINTS", 200000)
+    tracemalloc.start()
+    np.testing.assert_array_equal(sums.at(lines), together)
+    assert tracemalloc.get_traced_memory()[1] < 0.5 * memory
+    tracemalloc.stop()

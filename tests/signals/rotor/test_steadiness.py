@@ -1,7 +1,10 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.signals.rotor import steadiness
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.steadiness import unsteady, windowed_amplitudes
 
@@ -124,3 +127,19 @@ def test_the_size_of_a_change_does_not_depend_on_its_phase(degrees):
     values = noise + (np.arange(WINDOWS) > 0.6 * WINDOWS)[:, None] * np.exp(1j * np.radians(degrees))
     assert unsteady(values, np.full(50, 0.9 / 3.0)).all()
     assert not unsteady(values, np.full(50, 1.1 / 3.0)).any()
+
+
+def test_the_memory_of_windows_does_not_grow_with_the_record(monkeypatch):
+    pulses, rate = np.arange(400) / 10.0, 500.0
+    samples = int(pulses[-1] * rate)
+    signals = np.random.default_rng(8).standard_normal((samples, 6))
+    source = MemorySource(signals, None)
+    run = Run("w", "r", "wind", tuple("abcdef"), samples, source, False, rate, 10.0, pulse_times=pulses)
+    azimuth = azimuth_from_pulses(pulses)
+    given = run, azimuth, run.channel_names, 8, (3, 399)
+    together = windowed_amplitudes(*given)
+    monkeypatch.setattr(steadiness, "WINDOWED_SAMPLES", 2000)
+    tracemalloc.start()
+    np.testing.assert_array_equal(windowed_amplitudes(*given).values, together.values)
+    assert tracemalloc.get_traced_memory()[1] < signals.nbytes
+    tracemalloc.stop()
