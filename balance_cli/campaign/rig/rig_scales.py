@@ -18,6 +18,7 @@ def stiffness_by_motion(geometry: Geometry) -> dict[str, float]:
     return dict(zip(FREEDOMS, diagonal.tolist(), strict=True))
 
 
+@cached_by_identity
 def inertia_by_motion(geometry: Geometry) -> dict[str, float]:
     """Mass [kg] for x y z and moment of inertia [kg m2] about the origin for psi theta phi, of all bodies together."""
     inertia = np.zeros((3, 3))

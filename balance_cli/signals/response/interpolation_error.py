@@ -36,12 +36,16 @@ def interpolate_with_error(response: FrequencyResponse, frequency: Array, method
     if len(response.frequency) < FEWEST_LINES:
         return value
     above = np.clip(np.searchsorted(response.frequency, frequency), 1, len(response.frequency) - 1)
-    below = _form_error(response, above - 1, value, method), _form_error(response, above, value, method)
-    return replace(value, channel_covariance=value.channel_covariance + 0.5 * (below[0] + below[1]))
+    both, loads = np.concatenate([above - 1, above]), np.concatenate([value.load_covariance] * 2)
+    below, beyond = np.split(_form_error(response, both, loads, method), 2)
+    return replace(value, channel_covariance=value.channel_covariance + 0.5 * (below + beyond))
 
 
-def _form_error(response: FrequencyResponse, line: Index, value: InterpolatedResponse, method: str) -> ComplexArray:
-    """Return the covariance (h, c, c) of what the prediction of each `line` (h,) from the others misses."""
+def _form_error(response: FrequencyResponse, line: Index, loads: ComplexArray, method: str) -> ComplexArray:
+    """Return the covariance (h, c, c) of what the prediction of each `line` (h,) from the others misses.
+
+    It is that of the channels where the loads have the covariance `loads` (h, u, u).
+    """
     predicted = interpolate_response(response, response.frequency[line], method, left_out=line)
     missed = predicted.value - response.response[line]
     variance = _variances(predicted.channel_covariance, predicted.load_covariance)
@@ -51,7 +55,7 @@ def _form_error(response: FrequencyResponse, line: Index, value: InterpolatedRes
     count = np.maximum(tested.sum(axis=(1, 2)), 1)
     ratio = power.sum(axis=(1, 2), where=tested) / count
     beyond_noise = np.where(ratio > chi2.isf(NOISE_PROBABILITY, 2 * count) / (2 * count), 1.0 - 1.0 / ratio, 0.0)
-    precision = np.linalg.inv(value.load_covariance) / missed.shape[2]
+    precision = np.linalg.inv(loads) / missed.shape[2]
     square = np.einsum("hcu,huv,hdv->hcd", missed, precision, missed.conj())
     return np.asarray(square * beyond_noise[:, None, None])
 
