@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.run_samples import sample_rate
 
@@ -31,8 +32,11 @@ EXAMINED_REVOLUTIONS = 48
 """Revolutions from the start on that are examined at a time: most transients have ended after so many."""
 STEADY_QUANTILE = 0.9
 """Quantile of the late energies that counts as steady: a changing speed or a late step may be among them."""
-SIGNIFICANT_SIGMAS = 4.0
-"""Standard errors above the steady energy that are significant: rarely exceeded in hundreds of revolutions."""
+FALSE_ALARM = 1e-2
+"""Probability by which a channel exceeds its steady energy though it is steady: some channel of many then costs a few
+revolutions, and what is left of a transient is no larger than what gusts do."""
+LEAST_SCATTER = 1e-12
+"""Squared relative scatter of the energies, at least: that of records without noise may be zero."""
 SPLINE_DECAY = float(np.sqrt(3.0)) - 2.0
 """Effect of a sample on a cubic spline through evenly spaced samples, one step further away."""
 SPLINE_REACH = 12
@@ -60,9 +64,8 @@ def find_transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence
     points = _points_per_revolution(run, azimuth)
     span = (max(last, azimuth.turns - LATE_REVOLUTIONS), azimuth.turns)
     resampled = _resample_revolutions(run, azimuth, names, span, points)
-    later = _average_energy(_difference_energy(resampled))
-    margin = 1.0 + SIGNIFICANT_SIGMAS * float(np.sqrt(2.0 / (SMOOTHING_REVOLUTIONS * points)))
-    largest: Array = margin * _steady_energy(later, resampled[0])
+    late = _difference_energy(resampled)
+    largest: Array = _largest_excess(late, points) * _steady_energy(_average_energy(late), resampled[0])
     steady = _first_steady(largest, run, azimuth, names, last, points)
     return last if steady is None else steady
 
@@ -151,6 +154,23 @@ def _average_energy(energy: Array) -> Array:
     """Return the mean over `SMOOTHING_REVOLUTIONS` from each revolution on, where so many follow."""
     window = np.lib.stride_tricks.sliding_window_view(energy, min(SMOOTHING_REVOLUTIONS, len(energy)), axis=0)
     return np.asarray(window.mean(axis=-1))
+
+
+def _largest_excess(late: Array, points: int) -> Array:
+    """Return the factor (c,) on the steady energy that the mean of so many revolutions exceeds with FALSE_ALARM.
+
+    Noise that is white within a revolution has as many degrees of freedom as points; the motion of a light mode, and
+    gusts slower than a revolution, have few. The variance of a mean of `late` (r, c) energies tells them, by its
+    autocovariance; the mean that is subtracted takes its share out of it.
+    """
+    rows, count = len(late), min(SMOOTHING_REVOLUTIONS, len(late))
+    departure = late / np.maximum(late.mean(axis=0), np.finfo(float).tiny) - 1.0
+    products = np.array([np.mean(departure[: rows - k] * departure[k:], axis=0) for k in range(count)])
+    correlated = products[0] + 2.0 * (1.0 - np.arange(1, count) / SMOOTHING_REVOLUTIONS) @ products[1:]
+    variance = np.maximum(correlated, products[0]) / SMOOTHING_REVOLUTIONS
+    variance = np.maximum(variance, np.median(variance)) * (1.0 + SMOOTHING_REVOLUTIONS / rows)
+    dof = np.minimum(2.0 / np.maximum(variance, LEAST_SCATTER), SMOOTHING_REVOLUTIONS * points)
+    return np.asarray(stats.f.isf(FALSE_ALARM, dof, dof * rows / SMOOTHING_REVOLUTIONS))
 
 
 def _steady_energy(later: Array, signal: Array) -> Array:
