@@ -19,7 +19,7 @@ class UserError(Exception):
     def __str__(self) -> str:
         where = ", ".join(part for part in (self.file, self.place) if part)
         message = f"{where}: {self.fault}" if where else self.fault
-        return f"{message}. {self.remedy}" if self.remedy else message
+        return f"{message}{'' if message.endswith('?') else '.'} {self.remedy}" if self.remedy else message
 
     def __reduce__(self) -> tuple[type["UserError"], tuple[str, ...]]:
         """For `pickle`: a dataclass does not pass its fields to the exception."""

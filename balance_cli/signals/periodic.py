@@ -232,7 +232,7 @@ def _select_lines(
     selected = np.any(excited, axis=1)
     if not np.any(selected):
         fault = "no line of the loads repeats from period to period"
-        raise run_error(run, fault, "Check `period`", "attribute `period`")
+        raise run_error(run, fault, "Check `period` and `sample_rate`", "attribute `period`")
     selected &= (frequency >= band[0]) & (frequency <= band[1])
     if not np.any(selected):
         raise run_error(

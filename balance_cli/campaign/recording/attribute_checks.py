@@ -11,6 +11,7 @@ from balance_cli.campaign.recording.run_schema import as_list, stated_period
 from balance_cli.campaign.rig.components import COMPONENTS, EXCITATIONS, RUN_KINDS
 from balance_cli.io.errors import UserError
 
+RPM_PER_HERTZ = 60.0
 FEWEST_PERIOD_SAMPLES = 2.0
 """Samples in a period, for its fundamental not to lie beyond half the sample rate."""
 
@@ -32,7 +33,8 @@ def kind_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
     if not is_positive(rate):
         yield _attribute_fault("sample_rate", rate, f"a number above 0 [Hz], at most {LARGEST_MAGNITUDE:g}")
     if not _is_rotor_speed(speed, rate):
-        yield _attribute_fault("rotor_speed", speed, "a number from 0 to half the sample rate [Hz]")
+        hint = "; 1/min divided by 60" if _is_number(speed) and _is_rotor_speed(speed / RPM_PER_HERTZ, rate) else ""  # type: ignore[operator]
+        yield _attribute_fault("rotor_speed", speed, f"a number from 0 to half the sample rate [Hz]{hint}")
     if attributes["kind"] == "sweep":
         yield from _sweep_faults(attributes)
 
@@ -79,5 +81,6 @@ def _text_fault(attributes: Mapping[str, Any], name: str) -> Iterator[UserError]
 
 
 def _attribute_fault(name: str, value: object, expected: str) -> UserError:
-    fault = "is missing" if value is None else f"is {value!r}"
+    shown = f"{value:.10g}" if isinstance(value, float) else repr(value)
+    fault = "is missing" if value is None else f"is {shown}"
     return UserError(f"attribute `{name}` {fault}", place=f"attribute {name}", remedy=f"It should be {expected}")

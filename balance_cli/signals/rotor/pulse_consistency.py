@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
+from balance_cli.campaign.recording.attribute_checks import RPM_PER_HERTZ
 from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.io.errors import UserError
 from balance_cli.signals.amplitude_spectrum import normalize_channels
@@ -21,7 +22,6 @@ NOMINAL_TOLERANCE = 0.12
 RATIO_TOLERANCE = 0.03
 """Share by which a ratio of speeds may miss a whole number and still be one (the rotor speed itself varies)."""
 MAX_PULSES_PER_REVOLUTION = 1024
-RPM_PER_HERTZ = 60.0
 SPECTRUM_REVOLUTIONS = 200
 """Revolutions of the spectrum that shows the rotor's lines: they tell 1 % of speed from 1/rev on, and the speed hardly
 moves within them."""
