@@ -27,6 +27,8 @@ class ScoreSettings:
     """Fractions of a score's step that are tried in turn until chi-square falls: the score is only linear."""
     min_noise_dof: float = 1.0
     """Degrees of freedom of a noise of which nothing is known: with one, F makes hardly any gain significant."""
+    min_tested_gain: float = 10.0
+    """Gain above which the noise of each static line is looked at: a smaller one is not significant in any noise."""
 
 
 @dataclass(frozen=True)

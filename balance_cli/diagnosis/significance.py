@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.noise_precision import MIN_DOF_PER_SIGNAL
-from balance_cli.signals.covariance_pooling import inverse_bias_factor
+from balance_cli.signals.covariance_pooling import MIN_DOF_PER_SIGNAL, inverse_bias_factor
 
 Array = NDArray[np.float64]
 

@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.covariance_pooling import inverse_bias_factor
+from balance_cli.signals.covariance_pooling import MIN_DOF_PER_SIGNAL, inverse_bias_factor
 from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-# Degrees of freedom per signal below which only the variances are inverted. With nu = 2n the inverse of an n x n sample
-# covariance is already too large by a factor of two in the mean (complex Wishart).
-MIN_DOF_PER_SIGNAL = 2.0
 
 
 def live_precision(lines: RunSpectrum, has_exact_loads: bool) -> ComplexArray:
@@ -25,7 +21,11 @@ def live_precision(lines: RunSpectrum, has_exact_loads: bool) -> ComplexArray:
     used = slice(0, count) if has_exact_loads else slice(0, count + len(lines.components))
     noise = lines.window or lines
     covariance = _replace_infinite_variances(noise.covariance[:, used, used])
-    inverse = _invert_covariance(covariance, noise.dof, count) * weight_efficiency(lines)
+    # Noise of several parts has few parameters, however many channels there are (see `row_noise`).
+    if lines.noise_parts and not _is_well_known(noise.dof, count):
+        inverse = np.linalg.inv(covariance) * _variance_bias_factor(noise.dof)
+    else:
+        inverse = _invert_covariance(covariance, noise.dof, count) * weight_efficiency(lines)
     return np.asarray(np.where(has_finite_variance(noise.covariance)[:, used, None], inverse, 0.0))
 
 
@@ -37,7 +37,7 @@ def weight_efficiency(lines: RunSpectrum) -> float:
     """
     size = len(lines.channel_names)
     dof = (lines.window or lines).dof
-    return inverse_bias_factor(dof, size) if dof > MIN_DOF_PER_SIGNAL * size else 1.0
+    return inverse_bias_factor(dof, size) if _is_well_known(dof, size) else 1.0
 
 
 def has_finite_variance(covariance: ComplexArray) -> NDArray[np.bool_]:
@@ -61,8 +61,17 @@ def _invert_covariance(covariance: ComplexArray, dof: float, size: int) -> Compl
 
     With too few of them only the variances are known well enough to be inverted.
     """
-    if dof > MIN_DOF_PER_SIGNAL * size:
+    if _is_well_known(dof, size):
         return np.asarray(np.linalg.inv(covariance) * inverse_bias_factor(dof, size), complex)
     variances = np.real(np.diagonal(covariance, axis1=1, axis2=2))
-    factor = inverse_bias_factor(dof, 1) if dof > 1 else 1.0
-    return np.asarray(factor / variances[:, :, None] * np.eye(variances.shape[1]), complex)
+    return np.asarray(_variance_bias_factor(dof) / variances[:, :, None] * np.eye(variances.shape[1]), complex)
+
+
+def _is_well_known(dof: float, size: int) -> bool:
+    """Whether a covariance of so many signals is known well enough to be inverted."""
+    return dof > MIN_DOF_PER_SIGNAL * size
+
+
+def _variance_bias_factor(dof: float) -> float:
+    """The factor that removes the bias of the inverse of a single variance."""
+    return inverse_bias_factor(dof, 1) if dof > 1 else 1.0

@@ -27,6 +27,9 @@ INITIAL_POWER_LIMIT = 20.0
 """Power over the median from which a line gets less weight at first: a probability of 1e-6 for one period of noise."""
 MEDIAN_LINES = 75
 """Lines whose median power is the reference of the initial weights: of three periods, LEAST_POOLED_DOF in all."""
+MIN_DOF_PER_SIGNAL = 2.0
+"""Degrees of freedom per signal below which a covariance is not inverted. With nu = 2n the inverse of an n x n sample
+covariance is already too large by a factor of two in the mean (complex Wishart)."""
 RELATIVE_NOISE_FLOOR = 1e-7
 """Least noise, relative to the signal: the rounding error of single precision."""
 

@@ -8,6 +8,7 @@ operator B (t, m), and h_ij the sum of B_ir^2 over the rows r in which j was app
 
 Sigma and the six sigma_j are estimated together as variance components by expectation-maximization (Searle, Casella and
 McCulloch, Variance Components, 1992, chapter 8). The noise of a load that was applied in all rows is part of Sigma.
+Where Sigma would be known too poorly to be inverted it is diagonal, and the noise of each load a part of its own.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals.covariance_pooling import MIN_DOF_PER_SIGNAL
 from balance_cli.signals.run_spectrum import NoisePart
 
 Array = NDArray[np.float64]
@@ -40,22 +42,26 @@ def row_noise(
     weights (t,); `start` (c, c): covariance if all rows were equally noisy, known with `dof` degrees of freedom.
     """
     applied = (loads != 0.0).astype(float)
-    sometimes = np.flatnonzero((applied.mean(axis=0) > 0.0) & (applied.mean(axis=0) < ALWAYS_APPLIED_SHARE))
-    columns = _linear_sensitivities(channels, loads)[:, sometimes]
+    is_diagonal = dof <= MIN_DOF_PER_SIGNAL * channels.shape[1]
+    is_own = np.ptp(loads, axis=0) > 0.0 if is_diagonal else applied.mean(axis=0) < ALWAYS_APPLIED_SHARE
+    with_part = np.flatnonzero((applied.mean(axis=0) > 0.0) & is_own)
+    columns = _linear_sensitivities(channels, loads)[:, with_part]
     power = B**2
-    H, row_power = power @ applied[:, sometimes], power.sum(axis=1)
+    H, row_power = power @ applied[:, with_part], power.sum(axis=1)
     d = B @ channels
     variance = INITIAL_LOAD_SHARE / np.maximum(np.sum(columns * np.linalg.solve(start, columns), axis=0), 1e-300)
-    sigma = start
+    pattern = np.eye(len(start)) if is_diagonal else np.ones_like(start)
+    sigma = start * pattern
     for _ in range(EM_ITERATIONS):
-        sigma, variance = _em_step(sigma, variance, d, columns, H, row_power, weights)
+        scatter, variance = _em_step(sigma, variance, d, columns, H, row_power, weights)
+        sigma = scatter * pattern
     channel_part = NoisePart(sigma, np.ones(len(channels)), 1.0, float(np.sqrt(2.0 / dof)))
-    errors = _variance_errors(sigma, variance, columns, H, row_power, weights, B, applied[:, sometimes])
+    errors = _variance_errors(sigma, variance, columns, H, row_power, weights, B, applied[:, with_part])
     return (
         channel_part,
         *(
             NoisePart(np.outer(column, column), applied[:, j], float(size), float(error))
-            for j, column, size, error in zip(sometimes, columns.T, variance, errors, strict=True)
+            for j, column, size, error in zip(with_part, columns.T, variance, errors, strict=True)
         ),
     )
 
@@ -105,29 +111,27 @@ def _variance_errors(
 ) -> Array:
     """Standard errors (j,) of the loads' variances, by their information.
 
-    Neighboring differences share rows, which reduces their information to `_effective_dof`. The variance of a load that
-    is in no difference has an error of UNKNOWN_VARIANCE_FACTOR times the variance that would be visible beside the
-    noise of the channels.
+    A difference counts by its share of the noise of the load, as in the estimate, and differences that share rows count
+    as the `_independent_count` of them. The variance of a load that is in no difference has an error of
+    UNKNOWN_VARIANCE_FACTOR times its estimate and one that would be visible beside the noise of the channels.
     """
     covariance = _difference_covariances(sigma, H * variance, columns, row_power)
     squared_gain = np.einsum(
         "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
     )
-    information = 0.5 * np.sum(weights[:, None] * (H * squared_gain) ** 2, axis=0)
-    effective_information = information * np.array([_effective_dof(weights, B * rows) for rows in applied.T])
+    weight = weights[:, None] * H
+    root_information = np.sum(weight * H * squared_gain, axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
+    counts = np.array([_independent_count(weights, B * rows) for rows in applied.T])
+    information = 0.5 * counts * root_information**2
     own = sigma + np.diag(OWN_VARIANCE_SHARE * np.diagonal(sigma))
     visible = np.sum(columns * np.linalg.solve(own, columns), axis=0)
-    return np.asarray(
-        1.0
-        / np.sqrt(
-            np.maximum(effective_information, np.where(visible > 0.0, (visible / UNKNOWN_VARIANCE_FACTOR) ** 2, np.inf))
-        )
-    )
+    bound = UNKNOWN_VARIANCE_FACTOR * (variance + 1.0 / np.maximum(visible, 1e-300))
+    least = np.where(visible > 0.0, bound**-2.0, np.inf)
+    return np.asarray(1.0 / np.sqrt(np.maximum(information, least)))
 
 
-def _effective_dof(weights: Array, B: Array) -> float:
-    """Effective degrees of freedom per weighted squared difference B (t, m); zero where there are none."""
-    squares = weights * np.sum(B**2, axis=1)
+def _independent_count(weights: Array, B: Array) -> float:
+    """Number of independent squares that the weighted squared differences B (t, m) are worth; zero where none is."""
     root = np.sqrt(weights)[:, None] * B
     products = float(np.sum((root @ root.T) ** 2))
-    return float(np.sum(squares**2)) / products if products > 0.0 else 0.0
+    return float(np.sum(root**2)) ** 2 / products if products > 0.0 else 0.0

@@ -129,11 +129,11 @@ def _difference_operator(loads: Array, operator: Array) -> Array:
     """B (t, m): differences of rows, with linear, quadratic and cubic functions of the loads eliminated.
 
     Differences of which nothing is left tell nothing of the noise and are omitted: the only one along a ramp of two
-    steps to both sides is a cubic misfit.
+    steps to both sides is a cubic misfit, but for the last digits of its loads.
     """
     linear, nonlinear_columns = _regressors(loads)
     B = _subtract_projection(operator @ nonlinear_columns, _subtract_projection(linear, operator.T).T)
-    return np.asarray(B[np.linalg.norm(B, axis=1) > COLLINEARITY_RATIO])
+    return np.asarray(B[np.linalg.norm(B, axis=1) > MIN_STEP])
 
 
 def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[Array, float]:

@@ -5,9 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.diagnosis.significance import gain_p_value
+from balance_cli.estimation.noise_precision import live_precision
+from balance_cli.estimation.noise_uncertainty import noise_uncertainty
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.signals.run_spectrum import NoisePart, StaticPoints
+from balance_cli.signals.static_noise import static_points
 from balance_cli.simulation import StaticPlan
 from balance_cli.simulation.statics import static_load_points
 
@@ -111,3 +116,34 @@ def test_rows_with_equal_noise_are_one_group():
     loads = rng.normal(size=(30, 6))
     points = StaticPoints("static", "bare", ("a", "b"), loads[:, :2], loads, np.eye(2), 9.0, share=np.ones(2))
     np.testing.assert_allclose(static_lines(points).loads[6:], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("load_noise", [4.0, 20.0])
+@pytest.mark.parametrize("grows", [False, True])
+def test_slopes_have_the_distribution_that_their_noise_says(load_noise, grows):
+    """Ladders of two steps, of which two pairs of equal loads tell the noise of a reading: F(1, 2), not chi-square.
+
+    `load_noise`: of a full load over what the channels resolve; it `grows` with the load, as that of weights does.
+    """
+    rng, p_values = np.random.default_rng(4), []
+    cycle = np.array([0, 0.5, 1, 0.5, 0, -0.5, -1, -0.5, 0])
+    loads = np.concatenate([np.outer(cycle, np.eye(6)[i]) for i in range(6)])
+    names = tuple(f"c{i}" for i in range(12))
+    for _ in range(40):
+        slopes = rng.normal(size=(12, 6))
+        sigma = 1e-4 * (loads @ slopes.T).std(axis=0)
+        resolved = 1.0 / np.sqrt(np.sum((slopes / sigma[:, None]) ** 2, axis=0))
+        error = load_noise * resolved * rng.normal(size=loads.shape) * (np.abs(loads) if grows else loads != 0.0)
+        volts = loads @ slopes.T + sigma * rng.normal(size=(len(loads), 12))
+        source = MemorySource(volts, loads + error)
+        lines = static_lines(static_points(Run("static", "rig", "static", names, len(loads), source), names))
+        precision = live_precision(lines, True).real
+        for k in range(6):
+            along = slopes @ lines.loads[k].real
+            influence = np.zeros((len(lines.frequency), 12, 1), complex)
+            influence[k, :, 0] = precision[k] @ along
+            score = influence[k, :, 0].real @ (lines.channels[k].real - along)
+            dof = 2.0 / noise_uncertainty(lines.noise_parts, influence)[0]
+            gain = 2.0 * score**2 / (influence[k, :, 0].real @ along)
+            p_values.append(gain_p_value(gain, 1, float(dof)))
+    assert np.mean(np.array(p_values) < 0.01) < 0.035, "0.17 to 0.50 with the diagonal of the covariance inverted"

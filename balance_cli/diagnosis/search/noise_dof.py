@@ -28,12 +28,20 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
+class StaticLines:
+    """Derivatives dY (K, c, p) of lines whose noise has parts, and their weighted residual P r (K, c)."""
+
+    derivatives: ComplexArray
+    weighted_residual: ComplexArray
+
+
+@dataclass(frozen=True)
 class RunInformation:
     """Half the `gradient` (p,) of chi-square of one run, and parts of its information matrix.
 
     `cross` (f, p): rows of the fitted parameters; `blocks`: the elements of the diagonal blocks (q, q) of all
     candidates in turn, of which `diagonal` (n,) are on the diagonal. `weighted`: the weighted derivatives P dY (K, c,
-    p), kept only where the noise has parts.
+    p), and `lines`, kept only where the noise has parts.
     """
 
     batch: Batch
@@ -42,6 +50,7 @@ class RunInformation:
     blocks: Array
     diagonal: Array
     weighted: ComplexArray | None
+    lines: StaticLines | None = None
 
     @classmethod
     def from_batch(
@@ -51,8 +60,10 @@ class RunInformation:
         blocks, cross = derivatives.diagonal_blocks(tested), derivatives.cross_information(fitted)
         elements = np.concatenate([block.reshape(-1) for block in blocks])
         diagonal = np.concatenate([block.reshape(-1)[:: len(block) + 1] for block in blocks])
-        weighted = derivatives.weighted() if batch.runs[0].noise_parts else None
-        return cls(batch, derivatives.gradient(), cross, elements, diagonal, weighted)
+        if not batch.runs[0].noise_parts:
+            return cls(batch, derivatives.gradient(), cross, elements, diagonal, None)
+        lines = StaticLines(derivatives.derivatives, derivatives.fit.weighted)
+        return cls(batch, derivatives.gradient(), cross, elements, diagonal, derivatives.weighted(), lines)
 
     def variance(self, fitted: Index, tested: Index, projection: Array) -> Array:
         """Return the run's contribution (n,) to the variance of each score.
@@ -65,11 +76,13 @@ class RunInformation:
 
     def variance_uncertainty(self, fitted: Index, tested: Index, projection: Array) -> Array:
         """Return the relative variance (n,) of that contribution, since the noise was estimated."""
-        parts = self.batch.runs[0].noise_parts
         if self.weighted is None:
             return np.full(len(tested), 2.0 / self.batch.runs[0].noise_dof)
-        influence = self.weighted[:, :, tested] - self.weighted[:, :, fitted] @ projection
-        uncertainty = noise_uncertainty(parts, influence)
+        return self.uncertainty(self.weighted[:, :, tested] - self.weighted[:, :, fitted] @ projection)
+
+    def uncertainty(self, influence: ComplexArray) -> Array:
+        """Return the relative variance (n,) of the estimated variance of n scores, on which `influence` (K, c, n)."""
+        uncertainty = noise_uncertainty(self.batch.runs[0].noise_parts, influence)
         # The combinations were chosen by an inverse of the same estimate, which costs it that share of its dof.
         return uncertainty / float(self.batch.lines.efficiency[self.batch.runs[0].lines].mean())
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.diagnosis.search.gain_dof import gain_dof
 from balance_cli.diagnosis.search.noise_dof import RunInformation, noise_dof
 from balance_cli.diagnosis.settings import ScoreSettings
 from balance_cli.estimation.batch import WORKERS, Batch
@@ -43,7 +45,8 @@ class ProjectedScore:
     """Of a candidate: s (q,) and V (q, q) with the fitted parameters projected out; `raw` (q,), diagonal of V before.
 
     With a step d of the candidate the fitted parameters change by `fitted_step` - `projection` d, (f,) and (f, q).
-    `noise_dof`: degrees of freedom of the noise in the runs that inform about it.
+    `noise_dof`: degrees of freedom of the noise in the runs that inform about it; `gain_dof` gives those against which
+    a gain by a step is tested.
     """
 
     s: Array
@@ -52,6 +55,7 @@ class ProjectedScore:
     noise_dof: float
     fitted_step: Array
     projection: Array
+    gain_dof: Callable[[Array, float], float]
 
 
 def project_out_fitted(
@@ -77,6 +81,7 @@ def project_out_fitted(
             noise_dof=float(known),
             fitted_step=-step,
             projection=projection,
+            gain_dof=partial(gain_dof, runs, indices.fitted, tested, projection),
         )
         for tested, V, projection, known in zip(indices.tested, blocks, projections, dof, strict=True)
     ]

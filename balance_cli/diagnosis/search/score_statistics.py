@@ -208,13 +208,16 @@ def _score(candidate: Candidate, number: int, part: ProjectedScore, settings: Sc
     best = best_gain(part.s[informed], V, lower, upper, settings.min_information_share)
     step = np.zeros(len(items))
     step[informed] = best.step
+    noise_dof = part.noise_dof
+    if best.gain > settings.min_tested_gain:
+        noise_dof = max(min(noise_dof, part.gain_dof(step, best.gain)), settings.min_noise_dof)
     return Score(
         candidate=candidate,
         start=number,
         gain=best.gain,
         parameters=best.directions + candidate.fitted_start_values,
         expected=float(scale[informed] ** 2 @ np.diag(part.V)[informed]),
-        noise_dof=part.noise_dof,
+        noise_dof=noise_dof,
         information=part.V,
         step=step,
         fitted_step=part.fitted_step - part.projection @ step,

@@ -213,20 +213,22 @@ def _rejection_reason(context: _RoundContext, score: Score, refit: Fit, validati
 
 
 def select_significant(scores: Sequence[Score], count: int, settings: SearchSettings) -> list[Score]:
-    """Return the candidates of `count` whose gain, less the cost of their parameters, is about the largest.
+    """Return the candidates of `count` whose gain, less the cost of their parameters, is about that of the best one.
 
-    None where the best one is not significant.
+    The best one is that of the largest gain among the significant ones: a larger one may rest on a noise of which
+    little is known. None where none is significant.
     """
     limits = settings.selection
 
     def net_gain(score: Score) -> float:
         return score.gain - settings.parameter_cost * score.parameters
 
-    ranked = sorted(scores, key=lambda score: -net_gain(score))
-    if not ranked:
+    def is_significant(score: Score) -> bool:
+        return bonferroni_p_value(score.gain, score.parameters, count, score.noise_dof) < limits.significance_level
+
+    largest = max((net_gain(score) for score in scores if is_significant(score)), default=None)
+    if largest is None:
         return []
-    best = ranked[0]
-    if bonferroni_p_value(best.gain, best.parameters, count, best.noise_dof) >= limits.significance_level:
-        return []
-    lowest = net_gain(best) - limits.refit_score_deficit - limits.score_inaccuracy * net_gain(best)
-    return [score for score in ranked if net_gain(score) > lowest][: limits.max_refits]
+    lowest = largest - limits.refit_score_deficit - limits.score_inaccuracy * largest
+    close = [score for score in scores if lowest < net_gain(score) <= largest]
+    return sorted(close, key=lambda score: -net_gain(score))[: limits.max_refits]
