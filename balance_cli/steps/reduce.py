@@ -88,10 +88,11 @@ def reduce_record(
     the errors, the redundancy and the condition remain those of the inverted response.
     """
     record = add_load_fluctuation(record, geometry, source)
-    mean_solution = (
-        unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
-    )
-    mean_solution = add_resting_forces(mean_solution, record, geometry, source, zero is not None)
+    if calibration is None:
+        mean_solution = unmeasured_mean_loads(record.components)
+    else:
+        mean_solution = _mean_loads(record, calibration, zero)
+        mean_solution = add_resting_forces(mean_solution, record, calibration, source, zero is not None)
     mean_solution = add_gain_error(mean_solution, source)
     response = harmonic_response(record, geometry, source)
     solved = harmonic_loads(record, geometry, source, response)

@@ -94,6 +94,20 @@ def test_what_vibration_shifts_is_taken_off_the_mean_loads(calibration):
     assert np.abs(error / sigma).max() < 3.0
 
 
+@pytest.mark.parametrize(("stiffness", "gap"), [(4e6, 2e-6), (1e7, 1e-6)])
+def test_a_stop_is_in_the_calibration_as_a_polynomial_that_has_no_kink(stiffness, gap):
+    """The stop acts in the static runs, too: of its mean under vibration the calibration has nearly all."""
+    stop = DeclaredEffect(name="free-play", where=("z1",), parameters={"stiffness": stiffness, "gap": gap})
+    with_stop = apply_effects(true_rig(RIG), (stop,))
+    calibration = calibrate(simulate_campaign(with_stop, CampaignPlan(runs=static_plans()), seed=1).runs, RIG)
+    zero, loaded = records(stop, {"Fz": (300.0,), "Mx": (40.0,)})
+    error, sigma, reduced = mean_errors(loaded, zero, calibration, source_with(stop))
+    assert any("force at z1" in note for note in reduced.notes)
+    # 4 to 7 sigma, 2.4 and 3.7 N of Fz, where the force at the mean elongation is taken for that of the calibration.
+    assert np.abs(error / sigma).max() < 1.0
+    assert np.abs(error[2]) < 0.15
+
+
 @pytest.mark.parametrize("span_share", [0.0, 0.3, 0.9, 1.2])
 def test_no_contact_holds_more_than_it_says_after_a_motion(span_share):
     """Jenkins' element stepped through a motion from every state that it may have had."""
