@@ -51,11 +51,11 @@ def _line_gains(
     influence, change = run.weighted @ along, run.lines.derivatives @ along
     s = 2.0 * np.sum((np.conj(change) * run.lines.weighted_residual).real, axis=1)
     V = 2.0 * np.sum((np.conj(change) * influence).real, axis=1)
-    told = np.flatnonzero(V > 0.0)
-    single = np.zeros((*influence.shape, len(told)), complex)
-    single[told, :, np.arange(len(told))] = influence[told]
+    informative = np.flatnonzero(V > 0.0)
+    single = np.zeros((*influence.shape, len(informative)), complex)
+    single[informative, :, np.arange(len(informative))] = influence[informative]
     dof = 2.0 / np.maximum(run.uncertainty(single), np.finfo(float).tiny)
-    gain, chi2 = 2.0 * s[told] - V[told], s[told] ** 2 / V[told]
+    gain, chi2 = 2.0 * s[informative] - V[informative], s[informative] ** 2 / V[informative]
     return gain, dof * (np.log1p(chi2 / dof) - np.log1p((chi2 - gain) / dof))
 
 
