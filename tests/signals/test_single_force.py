@@ -19,6 +19,8 @@ from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.reduction.measured_response import transfer_source
+from balance_cli.signals.local.models import fit_local_models
+from balance_cli.signals.local.scaled_spectrum import record_spectrum
 from balance_cli.signals.response.point_forces import PointForce, combine_point_forces
 from balance_cli.signals.response.transfer import Transfer, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
@@ -86,10 +88,21 @@ def _chi2_per_value(run: Run) -> float:
     return float(data_chi2([batch], balance_model(geometry).system())) / float(batch.lines.count.sum())
 
 
-def test_chi_square_of_the_true_rig_is_one():
-    """With 0.3 N of noise on the force, which moves channels by more than their own noise does."""
-    for periodic in (True, False):
-        assert 0.8 < _chi2_per_value(swept_at_a_point(0.3, periodic)) < 1.25
+@pytest.mark.parametrize("force_noise", [0.3, 1.0])
+def test_chi_square_of_the_true_rig_is_one(force_noise):
+    """The noise of the force [N] moves channels by more than their own noise does, beside modes by much more."""
+    records = [(True, 1), (False, 1), (False, 2), (False, 3)]
+    for periodic, seed in records if force_noise == 1.0 else records[:2]:
+        assert 0.8 < _chi2_per_value(swept_at_a_point(force_noise, periodic, seed)) < 1.25
+
+
+def test_noise_of_a_force_is_found_where_lines_have_none():
+    """Beyond 260 Hz there is no force, and the response to its noise is noise: nothing there tells of the force."""
+    force = single_force(swept_at_a_point(1.0, False))
+    assert force is not None
+    models = fit_local_models(record_spectrum(force.run, force.run.channel_names, (0.0, np.inf)))
+    sigma = np.sqrt(models.noise.loads[0, 0].real) * models.spectrum.load_scale[0]
+    assert sigma == pytest.approx(DIRECTION[2] * 2.0 / np.sqrt(SAMPLES), rel=0.05)
 
 
 def test_forces_that_span_the_hub_loads_give_their_responses():

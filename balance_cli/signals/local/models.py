@@ -195,15 +195,18 @@ def _assemble_models(
     """Assemble the response at every line from the window that is used there, and the noise from its residual."""
     response = stitch_response(fits, first, assigned_lines)
     residual = np.zeros_like(spectrum.channels)
-    counts = np.ones(len(level))
+    counts, variance = np.ones(len(level)), np.zeros(len(level))
     for w, fit in enumerate(fits):
         lines = np.arange(*assigned_lines[w])
         inside = lines - first[w]
         residual[lines] = fit.residual[inside]
-        leverage = np.einsum("kq,qk->k", design_matrix(fit)[inside], design_pseudoinverse(fit)[:, inside]).real
+        inverse = design_pseudoinverse(fit)
+        leverage = np.einsum("kq,qk->k", design_matrix(fit)[inside], inverse[:, inside]).real
         counts[lines] = np.clip(1.0 - leverage, LEAST_LINE_COUNT, 1.0)
+        weights = response_rows(fit, fit.r[inside]) @ inverse
+        variance[lines] = np.sum(np.abs(weights) ** 2, axis=1) @ level[first[w] : first[w] + len(fit.r)]
     used = decimate_lines(spectrum.excited)
-    noise = estimate_noise_covariances(residual[used], response[used], counts[used], LEAST_CHANNEL_DOF)
+    noise = estimate_noise_covariances(residual[used], response[used], counts[used], LEAST_CHANNEL_DOF, variance[used])
     nearest = np.clip(np.searchsorted(used, np.arange(len(level))), 0, len(used) - 1)
     noise = replace(noise, channels=noise.channels[nearest])
     return LocalModels(spectrum, first, assigned_lines, fits, response, noise, level, tones)

@@ -25,6 +25,8 @@ WHOLE_SPECTRUM = slice(None)
 LEAST_CHANNEL_NOISE = 1e-3
 """Added to the variances of the channels, which are about 1 in the units used; a computed record has no noise."""
 
+LEAST_RESPONSE_SHARE = 1e-3
+"""Least power of a response beside its noise: lines where it is all noise have a millionth of the weight of others."""
 LEAST_LOAD_NOISE = 1e-4
 """Least variance of a load, where that of another load is found, over the variance of its estimate from one line."""
 LOAD_CONVERGENCE, CHANNEL_CONVERGENCE = 0.02, 0.01
@@ -60,9 +62,13 @@ class _Estimate:
 
 @dataclass(frozen=True)
 class _WeightedResponse:
-    """C^-1 G (K, c, u) for the noise C of the channels, and `information` (K, u, u), G* C^-1 G."""
+    """The part G (K, c, u) of a response that is no noise, C^-1 G for the noise C of the channels, and `information`.
+
+    `information` (K, u, u) is G* C^-1 G.
+    """
 
     response: ComplexArray
+    weighted: ComplexArray
     information: ComplexArray
 
 
@@ -71,29 +77,37 @@ def _relative_variance(information: ComplexArray, loads: Array, channels: int) -
 
 
 def estimate_noise_covariances(
-    residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float
+    residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float, variance: Array | float = 0.0
 ) -> NoiseCovariances:
     """Estimate the noise covariances of channels and loads from residuals (K, c) at lines with response (K, c, u).
 
     `counts` (K,) is the share of a degree of freedom that the fit left to each line; the expectation of the squared
     residual is that share of the noise. The covariance of the channels is pooled over as many lines as give
-    `least_dof` degrees of freedom.
+    `least_dof` degrees of freedom. `variance` (K,): that of the response, summed over the loads, over the variance of
+    the channels.
     """
     scaled = residual / np.sqrt(counts)[:, None]
     noise = _initial_estimate(scaled, response, counts, least_dof)
     for _ in range(EM_ITERATIONS):
-        previous, weighted = noise, _weigh(response, noise.channels)
+        previous, weighted = noise, _weigh(response, noise.channels, variance)
         noise = replace(noise, loads=_update_load_noise(scaled, weighted, noise.loads))
-        noise = _update_channel_noise(scaled, response, weighted, noise, counts, least_dof)
+        noise = _update_channel_noise(scaled, weighted, noise, counts, least_dof)
         if _has_converged(noise, previous):
             break
     return NoiseCovariances(noise.channels.at_lines, np.diag(noise.loads).astype(complex), noise.channels.dof)
 
 
-def _weigh(response: ComplexArray, channels: PooledCovariance) -> _WeightedResponse:
-    """Return a response (K, c, u) weighted by the inverse covariance of the channels."""
+def _weigh(response: ComplexArray, channels: PooledCovariance, variance: Array | float) -> _WeightedResponse:
+    """Return a response (K, c, u) weighted by the inverse covariance of the channels, less what is noise in it.
+
+    Where a load is weak its response is noise, G* C^-1 G of which is large: it would pass for a response that
+    transmits no noise of the load, since none is in the residual.
+    """
     weighted = channels.solve(response.swapaxes(1, 2)).swapaxes(1, 2)
-    return _WeightedResponse(weighted, response.conj().swapaxes(1, 2) @ weighted)
+    information = response.conj().swapaxes(1, 2) @ weighted
+    size = np.maximum(np.trace(information, axis1=1, axis2=2).real, 1e-300)
+    share = np.maximum(1.0 - response.shape[1] * variance / size, LEAST_RESPONSE_SHARE)[:, None, None]
+    return _WeightedResponse(response * np.sqrt(share), weighted * np.sqrt(share), information * share)
 
 
 def _initial_estimate(residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float) -> _Estimate:
@@ -106,7 +120,6 @@ def _initial_estimate(residual: ComplexArray, response: ComplexArray, counts: Ar
 
 def _update_channel_noise(
     residual: ComplexArray,
-    response: ComplexArray,
     weighted: _WeightedResponse,
     noise: _Estimate,
     counts: Array,
@@ -121,7 +134,8 @@ def _update_channel_noise(
         return noise
     weight = counts / _relative_variance(weighted.information, noise.loads, residual.shape[1]) ** 2
     explained, root = _conditional_load_noise(residual, weighted, noise.loads)
-    deviations = np.concatenate([residual[:, :, None] + response @ explained[:, :, None], response @ root], axis=2)
+    G = weighted.response
+    deviations = np.concatenate([residual[:, :, None] + G @ explained[:, :, None], G @ root], axis=2)
     deviations = (deviations * np.sqrt(weight)[:, None, None]).swapaxes(1, 2)
     return replace(noise, channels=pooled_covariance(deviations, weight, least_dof, LEAST_CHANNEL_NOISE))
 
@@ -150,7 +164,7 @@ def _conditional_load_noise(
     sigma = np.sqrt(loads)
     system = np.eye(len(loads)) + sigma[:, None] * weighted.information * sigma
     root = sigma[:, None] * np.linalg.inv(np.linalg.cholesky(system)).conj().swapaxes(1, 2)
-    projected = weighted.response.conj().swapaxes(1, 2) @ residual[:, :, None]
+    projected = weighted.weighted.conj().swapaxes(1, 2) @ residual[:, :, None]
     mean = -(root @ (root.conj().swapaxes(1, 2) @ projected))[:, :, 0]
     return np.asarray(mean), np.asarray(root)
 
@@ -160,7 +174,7 @@ def _update_load_noise(residual: ComplexArray, weighted: _WeightedResponse, load
     information = weighted.information
     ridge = np.trace(information, axis1=1, axis2=2).real[:, None, None] * 1e-9 + 1e-300
     error_covariance = np.linalg.inv(information + ridge * np.eye(len(loads)))
-    estimate = -np.matmul(error_covariance @ weighted.response.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
+    estimate = -np.matmul(error_covariance @ weighted.weighted.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
     # Every exciter has its own force cell, so that the noises of the loads are independent of each other.
     error_variance = np.diagonal(error_covariance, axis1=1, axis2=2).real
     weight = (error_variance + loads) ** -2.0

@@ -3,7 +3,8 @@
 The local models describe the transient and the curvature of the response within a few lines. Both are subtracted from
 a group of neighboring lines, which then are u independent experiments at one frequency: with Q R the (weighted) loads
 of the group, Q* Y = R G' + noise. Groups do not overlap, and are narrow compared with the distance to the nearest pole,
-so that hardly any information on the response is lost. The covariance accounts for the coefficients of the transient.
+so that hardly any information on the response is lost. The covariance accounts for the coefficients that describe what
+is subtracted, and for its poles.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.local.models import LocalModels, fit_local_models
 from balance_cli.signals.local.scaled_spectrum import LEAST_POWER_SHARE, record_spectrum
-from balance_cli.signals.local.window import design_matrix, design_pseudoinverse, poles, response_rows
+from balance_cli.signals.local.window import Remainder, denominator_errors, poles, remainder_at_center
 from balance_cli.signals.run_samples import run_error, sample_rate
 from balance_cli.signals.run_spectrum import RunSpectrum
 
@@ -41,8 +42,9 @@ CENTRAL_SHARE = 0.5
 class _Experiments:
     """The u experiments of one group of lines, at one `frequency` [Hz].
 
-    `channels` (u, c) and `loads` (u, u) are in scaled units. `line` is the index of the middle line, `power` (u,) the
-    noise power over that of this line. `rows` (u, M) are the weights of the lines of the window, from `first` on.
+    `channels` (u, c) and `loads` (u, u) are in scaled units. `line` is the index of the middle line. `power` (u,) is
+    the noise power over that of this line, `errors` (u, c, na+1) the standard deviations of the channels by what was
+    subtracted. `rows` (u, M) are the weights of the lines of the window, from `first` on.
     """
 
     frequency: float
@@ -50,6 +52,7 @@ class _Experiments:
     loads: ComplexArray
     line: int
     power: Array
+    errors: ComplexArray
     first: int
     rows: ComplexArray
 
@@ -98,16 +101,14 @@ def nonperiodic_record(
 
 def _line_groups(models: LocalModels, window: int) -> list[_Experiments]:
     """Experiments of the groups of lines for which this window is used."""
-    excited = models.spectrum.excited
-    u = models.spectrum.loads.shape[1]
-    inverse = design_pseudoinverse(models.fit[window])
-    first = models.first[window]
-    noise = models.noise.equation_error_covariance(models.response, slice(first, first + inverse.shape[1]))
-    central = np.abs(models.fit[window].r) <= CENTRAL_SHARE
+    fit, first = models.fit[window], int(models.first[window])
+    noise = models.noise.equation_error_covariance(models.response, slice(first, first + len(fit.r)))
+    errors = denominator_errors(fit, noise)
+    central = np.abs(fit.r) <= CENTRAL_SHARE
     groups = []
-    for lines in _partition_lines(models, window, u):
-        if np.all(excited[lines] & central[lines - first]):
-            groups.append(_experiments(models, window, inverse, noise, lines))
+    for lines in _partition_lines(models, window, models.spectrum.loads.shape[1]):
+        if np.all(models.spectrum.excited[lines] & central[lines - first]):
+            groups.append(_experiments(models, first, lines, noise, remainder_at_center(fit, lines - first, errors)))
     return groups
 
 
@@ -127,30 +128,26 @@ def _partition_lines(models: LocalModels, window: int, inputs: int) -> list[Inde
 
 
 def _experiments(
-    models: LocalModels, window: int, inverse: ComplexArray, noise: ComplexArray, lines: Index
+    models: LocalModels, first: int, lines: Index, noise: ComplexArray, remainder: Remainder
 ) -> _Experiments:
-    """Subtract transient and curvature from a group of lines; return independent experiments at its middle line."""
+    """Return independent experiments at the middle of a group of lines, of a window from line `first` on.
+
+    `noise` (M, c, c) is that of the outputs of the window.
+    """
     s, level = models.spectrum, models.level
-    fit = models.fit[window]
-    inside = lines - models.first[window]
-    in_window = slice(models.first[window], models.first[window] + len(fit.r))
+    in_window = slice(first, first + len(noise))
     middle = int(lines[len(lines) // 2])
-    center = response_rows(fit, fit.r[inside][len(lines) // 2 : len(lines) // 2 + 1])
-    forced_at_center = np.sum(s.loads[lines][:, :, None] * center, axis=1)
-    curvature_and_transient = design_matrix(fit)[inside] - forced_at_center
-    # The remainder is linear in the outputs of the window: those of the group less a part of the coefficients.
-    operator = -(curvature_and_transient @ inverse)
-    operator[np.arange(len(lines)), inside] += 1.0
     weight = 1.0 / np.sqrt(level[lines])
     Q, R = np.linalg.qr(s.loads[lines] * weight[:, None])
-    rows = (Q.conj().T * weight) @ operator
-    covariance = (rows * level[in_window]) @ rows.conj().T / level[middle]
-    root = np.linalg.cholesky(covariance)
-    rows = np.linalg.solve(root, rows)
+    mix = Q.conj().T * weight
+    rows = mix @ remainder.operator
+    root = np.linalg.cholesky((rows * level[in_window]) @ rows.conj().T / level[middle])
+    rows, loads = np.asarray(np.linalg.solve(root, rows), complex), np.linalg.solve(root, R)
+    errors = np.tensordot(np.linalg.solve(root, mix), remainder.errors, axes=1)
     # Steady tones stay in the lines: identification has an effect for them.
-    channels, loads = rows @ (s.channels + models.tones)[in_window], np.linalg.solve(root, R)
-    power = _relative_noise_power(rows, noise, noise[middle - models.first[window]])
-    return _Experiments(float(s.frequency[middle]), channels, loads, middle, power, int(models.first[window]), rows)
+    channels = rows @ (s.channels + models.tones)[in_window]
+    power = _relative_noise_power(rows, noise, noise[middle - first])
+    return _Experiments(float(s.frequency[middle]), channels, loads, middle, power, errors, first, rows)
 
 
 def _relative_noise_power(rows: ComplexArray, noise: ComplexArray, reference: ComplexArray) -> Array:
@@ -179,9 +176,12 @@ def _to_run_spectrum(models: LocalModels, groups: Sequence[_Experiments]) -> Run
     c = len(s.channel_names)
     line = np.repeat([group.line for group in groups], u)
     covariance = np.zeros((len(line), c + u, c + u), complex)
-    covariance[:, :c, :c] = models.noise.channels[line] * (s.channel_scale[:, None] * s.channel_scale)
-    covariance[:, c:, c:] = models.noise.loads * (s.load_scale[:, None] * s.load_scale)
+    covariance[:, :c, :c] = models.noise.channels[line]
+    covariance[:, c:, c:] = models.noise.loads
     covariance *= np.concatenate([group.power for group in groups])[:, None, None]
+    covariance[:, :c, :c] += np.concatenate([group.errors @ group.errors.conj().swapaxes(1, 2) for group in groups])
+    scale = np.concatenate([s.channel_scale, s.load_scale])
+    covariance *= scale[:, None] * scale
     return RunSpectrum(
         run=s.run.name,
         channel_names=s.channel_names,

@@ -16,6 +16,7 @@ from balance_cli.signals.local.fit import LocalFit, ModelOrders, WindowedData
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -120,29 +121,77 @@ def poles(fit: WindowFit) -> ComplexArray:
     return np.asarray(np.roots(legendre.leg2poly(fit.denominator)[::-1]), complex)
 
 
+@dataclass(frozen=True)
+class DenominatorErrors:
+    """Standard deviations of the denominator of a window, and how the linear coefficients follow it.
+
+    `root` (na+1, na+1): the square root of the covariance of the denominator a. `coefficient_changes` (q, c, na+1): the
+    derivatives of the linear coefficients with respect to a, negative.
+    """
+
+    root: ComplexArray
+    coefficient_changes: ComplexArray
+
+
+def denominator_errors(fit: WindowFit, noise: ComplexArray) -> DenominatorErrors:
+    """Return the errors of the denominator that follow from the noise (M, c, c) of the outputs; without poles zeros."""
+    size = fit.orders.denominator + 1
+    if size == 1:
+        return DenominatorErrors(np.zeros((1, 1), complex), np.zeros((*fit.coefficients.shape, 1), complex))
+    model = design_matrix(fit) @ fit.coefficients
+    derivatives = -log_derivative(fit, fit.r)[:, None, :] * model[:, :, None]
+    coefficient_changes = np.tensordot(design_pseudoinverse(fit), derivatives, axes=1)
+    projected = (derivatives - np.tensordot(design_matrix(fit), coefficient_changes, axes=1)) * (fit.weight**2)[
+        :, None, None
+    ]
+    flat = (projected / fit.weight[:, None, None]).reshape(-1, size)
+    inverse = np.linalg.pinv(flat.conj().T @ flat, rcond=1e-10, hermitian=True)
+    spread = np.einsum("mca,mcb->ab", projected.conj(), np.matmul(noise, projected))
+    value, vector = np.linalg.eigh(inverse @ spread @ inverse)
+    return DenominatorErrors(vector * np.sqrt(np.maximum(value, 0.0)), coefficient_changes)
+
+
 def pole_uncertainty(fit: WindowFit, r: Array, noise: ComplexArray) -> ComplexArray:
     """Return the standard deviations (len(r), c, u, na+1) of the response by the uncertainty of the denominator a.
 
     `noise` is (M, c, c). The result holds the columns of dG/da cov(a)^(1/2), where the linear coefficients are
     functions of a.
     """
-    model = design_matrix(fit) @ fit.coefficients
-    derivatives = -_log_derivative(fit, fit.r)[:, None, :] * model[:, :, None]
-    coefficient_changes = np.tensordot(design_pseudoinverse(fit), derivatives, axes=1)
-    projected = (derivatives - np.tensordot(design_matrix(fit), coefficient_changes, axes=1)) * (fit.weight**2)[
-        :, None, None
-    ]
-    flat = (projected / fit.weight[:, None, None]).reshape(-1, projected.shape[2])
-    inverse = np.linalg.pinv(flat.conj().T @ flat, rcond=1e-10, hermitian=True)
-    spread = np.einsum("mca,mcb->ab", projected.conj(), np.matmul(noise, projected))
-    value, vector = np.linalg.eigh(inverse @ spread @ inverse)
+    errors = denominator_errors(fit, noise)
     rows = response_rows(fit, r)
     response = (rows @ fit.coefficients).swapaxes(1, 2)
-    direct = -response[:, :, :, None] * _log_derivative(fit, r)[:, None, None, :]
-    indirect = np.einsum("kuq,qca->kcua", rows, coefficient_changes)
-    return np.asarray((direct - indirect) @ (vector * np.sqrt(np.maximum(value, 0.0))))
+    direct = -response[:, :, :, None] * log_derivative(fit, r)[:, None, None, :]
+    indirect = np.einsum("kuq,qca->kcua", rows, errors.coefficient_changes)
+    return np.asarray((direct - indirect) @ errors.root)
 
 
-def _log_derivative(fit: WindowFit, r: Array) -> ComplexArray:
-    """Derivatives (len(r), na+1) of ln A with respect to its coefficients."""
+@dataclass(frozen=True)
+class Remainder:
+    """What is left of L lines without transient and curvature: their outputs as if all were at the middle line.
+
+    `operator` (L, M) gives it from the outputs of the window; `errors` (L, c, na+1) are its standard deviations by the
+    uncertainty of the denominator.
+    """
+
+    operator: ComplexArray
+    errors: ComplexArray
+
+
+def remainder_at_center(fit: WindowFit, lines: Index, errors: DenominatorErrors) -> Remainder:
+    """Subtract the transient, and what the response differs by from that at the middle one of these lines (L,)."""
+    center, model = len(lines) // 2, design_matrix(fit)[lines]
+    at_center = np.sum(fit.U[lines][:, :, None] * response_rows(fit, fit.r[lines[center : center + 1]]), axis=1)
+    subtracted = model - at_center
+    # Linear in the outputs of the window: those of the group less a part of the coefficients.
+    operator = -(subtracted @ design_pseudoinverse(fit))
+    operator[np.arange(len(lines)), lines] += 1.0
+    slopes = log_derivative(fit, fit.r[lines])
+    change = slopes[:, None, :] * (model @ fit.coefficients)[:, :, None]
+    change -= slopes[center] * (at_center @ fit.coefficients)[:, :, None]
+    change += np.tensordot(subtracted, errors.coefficient_changes, axes=1)
+    return Remainder(operator, change @ errors.root)
+
+
+def log_derivative(fit: WindowFit, r: Array) -> ComplexArray:
+    """Return the derivatives (len(r), na+1) of ln A with respect to its coefficients."""
     return np.asarray(legendre.legvander(r, fit.orders.denominator) / denominator_at(fit, r)[:, None])

@@ -113,7 +113,9 @@ def test_response_and_noise_are_those_without_the_tone(record):
     size = np.sqrt(np.diagonal(without.noise.channels, axis1=1, axis2=2).real)
     change = models.noise.channels * scale[:, None] * scale - without.noise.channels
     relative = change / (size[:, :, None] * size[:, None, :])
-    assert np.abs(relative[models.spectrum.excited]).max() < 0.03
+    relative = np.abs(relative[models.spectrum.excited])
+    # The largest by less than the statistical error of the covariance: a window elsewhere may take other orders.
+    assert relative.max() < without.noise.dof**-0.5 and np.sqrt(np.mean(relative**2)) < 0.01
 
 
 def change_of_response(one, other):
