@@ -52,7 +52,9 @@ def identified_axis(model: IdentifiedModel, time_factor: float) -> Axis:
     value = dict(zip(model.parameters.names, model.parameters.value.tolist(), strict=True))
     mass = value["mass"] + value.get("added-mass.mass", 0.0)
     viscous = 2 * value["damping_ratio.1"] * np.sqrt(value["stiffness.x"] * value["mass"])
-    friction, offset = value.get("dry-friction@x.force", 0.0), value.get("load-offset@Fx.offset", 0.0)
+    friction = value.get("dry-friction@x.force", 0.0)
+    # The channel reads K q in newtons: an offset of it is one of the load with the other sign.
+    offset = value.get("load-offset@Fx.offset", 0.0) - value.get("channel-offset@x.offset", 0.0)
     return Axis(mass * time_factor**2, viscous * time_factor, friction, offset)
 
 

@@ -30,8 +30,9 @@ GROUP_POLE_SHARE = 0.3
 """Width of a group over the distance to the nearest pole: the curvature that is subtracted remains a correction."""
 GROUP_WINDOW_SHARE = 0.1
 """Greatest width of a group over that of its window, within which the polynomials are well determined."""
-LEAST_GROUP_SIGNAL_TO_NOISE = 10.0
-"""Amplitude of the largest load of a group over its noise; as for the lines of periodic records."""
+LEAST_GROUP_SIGNAL_TO_NOISE = 5.0
+"""Amplitude of the largest load of a group over its noise, which alone is as large at one line of 1e11. A nonlinear
+force counts as noise of the loads: with 10 a record of an axis with dry friction had kept 10 groups."""
 LEAST_SHARE_OF_STRONG = float(np.sqrt(LEAST_POWER_SHARE))
 """Amplitude of a load in a group over that where the load is strong; as for the lines at which it counts as excited."""
 CENTRAL_SHARE = 0.5
