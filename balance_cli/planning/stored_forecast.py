@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
 from balance_cli.campaign.rig.declared_values import FrozenModel
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import PLAN_FORMAT
-from balance_cli.simulation.files import read_plan
-from balance_cli.simulation.plans import CampaignPlan
+
+if TYPE_CHECKING:  # a page without a plan does without the simulation
+    from balance_cli.simulation.plans import CampaignPlan
 
 
 class StoredLevel(FrozenModel):
@@ -114,6 +115,8 @@ class StoredPlan:
 
 def read_stored_plan(path: Path) -> StoredPlan:
     """The plan that `balance plan` wrote. Raises UserError where it is not one, or without a forecast."""
+    from balance_cli.simulation.files import read_plan
+
     plan = read_plan(path)
     if plan.format != PLAN_FORMAT or plan.forecast is None:
         raise UserError("holds no forecast", str(path), "forecast", "Give a plan that `balance plan -o` has written")

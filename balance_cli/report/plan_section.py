@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from balance_cli.campaign.rig.components import UNIT_OF
-from balance_cli.planning.run_words import condition_words, excitation_words, level_words, record_words
 from balance_cli.planning.stored_forecast import StoredEffect, StoredForecast, StoredLoads, StoredPlan
 from balance_cli.report.blocks import (
     Chart,
@@ -73,6 +72,9 @@ def _key_figures(stored: StoredPlan) -> Iterator[tuple[str, str, str]]:
 
 
 def _run_table(stored: StoredPlan) -> Table:
+    # They need the simulation, which takes a twentieth of the start of a page without a plan.
+    from balance_cli.planning.run_words import condition_words, excitation_words, level_words, record_words
+
     head = ("run", "excited", "level, rms", "rotor, loads", "record", "sigma of loads by parameters")
     loads = stored.forecast.loads
     rows: list[Row] = []

@@ -43,16 +43,25 @@ def folder(campaign, calibration, identified, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", CALLS)
-def test_a_command_loads_what_it_needs(folder, name):
-    words, limit = CALLS[name]
+def loaded_modules(folder, *words):
     call = [sys.executable, "-c", PROGRAM, json.dumps([*words, "-q"])]
     done = subprocess.run(call, capture_output=True, text=True, check=False, cwd=folder)
     assert done.returncode == 0, done.stderr
-    modules = json.loads(done.stdout.splitlines()[-1])
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_command_loads_what_it_needs(folder, name):
+    words, limit = CALLS[name]
+    modules = loaded_modules(folder, *words)
     assert HEAVY & set(modules) == set()
     own = [module for module in modules if module.partition(".")[0] == "balance_cli"]
     assert len(own) <= limit
+
+
+def test_a_page_without_a_plan_loads_no_simulation(folder):
+    modules = loaded_modules(folder, "report", "cal.h5", "-o", "page.html")
+    assert not [module for module in modules if module.startswith("balance_cli.simulation")]
 
 
 def test_docstrings_of_scipy_are_not_parsed():
