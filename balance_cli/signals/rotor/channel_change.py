@@ -83,7 +83,7 @@ def channel_change(values: ComplexArray, sensors: Integers, sigma: Array) -> Cha
     if len(values) < FEWEST_WINDOWS or values.shape[1] < FEWEST_HARMONICS:
         return None
     changes = relative_changes(values)
-    turn = common_turn(values, changes.weight)
+    turn = common_turn(values, changes.weight, sigma)
     if turn is not None:
         return _describe_turn(turn)
     return _change_alone(changes, sensors) or _disturbed_channel(values, sensors, sigma)
@@ -92,7 +92,8 @@ def channel_change(values: ComplexArray, sensors: Integers, sigma: Array) -> Cha
 def _describe_turn(turn: CommonTurn) -> ChannelChange:
     if turn.is_steady:
         said = f"turn by harmonic times {np.degrees(turn.turn):+.2g} deg from each window to the next"
-        return ChannelChange(None, 0, said, "do the pulses belong to the record, and is `sample_rate` right?")
+        asked = "do the pulses belong to the record, is `sample_rate` right, have pulses and samples one clock?"
+        return ChannelChange(None, 0, said, asked)
     said = f"turn by harmonic times {np.degrees(turn.turn):+.2g} deg"
     return ChannelChange(None, turn.window, said, "did the azimuth slip, or were samples lost?")
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.rotor.steadiness import critical_sum, largest_change, window_scatter
+from balance_cli.signals import distributions as stats
+from balance_cli.signals.rotor.steadiness import FALSE_ALARM, critical_sum, largest_change, window_scatter
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,6 +25,12 @@ degree change hardly a load."""
 LEAST_STEADY_TURN = 0.2
 """The same over a record in which it grows steadily: the mean is turned by half of it, and the eighth harmonic a third
 smaller."""
+SLOW_SIGMAS = 5.0
+"""Standard deviations of an amplitude by which a slower one must turn it: half of the turn is in its phase, as pulses
+and samples agree where the record begins. Clocks that differ by 1e-4 turn the eighth harmonic of 60 revolutions by 17
+degrees from the first to the last."""
+FEWEST_ORDERS = 3
+"""Harmonics among those that tell a slow turn: a load whose phase drifts turns one."""
 COHERENCE = 0.8
 """Length of the sum of the products of neighboring windows, over the sum of their lengths, from which an amplitude
 turns regularly; of noise it is below a half."""
@@ -50,10 +57,11 @@ class CommonTurn:
     is_steady: bool
 
 
-def common_turn(values: ComplexArray, weight: Array) -> CommonTurn | None:
+def common_turn(values: ComplexArray, weight: Array, sigma: Array) -> CommonTurn | None:
     """Return the turn of amplitudes (w, n, c) of harmonics 1 to n in w windows; None without.
 
-    `weight` (n, c) is the inverse variance of a real component of an amplitude over its squared size.
+    `weight` (n, c) is the inverse variance of a real component of an amplitude over its squared size, `sigma` (n, c)
+    the standard deviation of one over the record.
     """
     # Of amplitudes that turn far the mean over the record may vanish: that over its first or its last third does not.
     third = len(values) // 3
@@ -61,6 +69,7 @@ def common_turn(values: ComplexArray, weight: Array) -> CommonTurn | None:
         _steady_turn(values)
         or _sudden_turn(values, values[:third].mean(axis=0), weight)
         or _sudden_turn(values, values[-third:].mean(axis=0), weight)
+        or _slow_turn(values, weight, sigma)
     )
 
 
@@ -84,6 +93,39 @@ def _steady_turn(values: ComplexArray) -> CommonTurn | None:
     if abs(turn) * (count - 1) < LEAST_STEADY_TURN or np.count_nonzero(is_known) < FEWEST_AMPLITUDES:
         return None
     return CommonTurn(0, turn, is_steady=True) if np.mean(is_alike) >= ALIKE_SHARE else None
+
+
+def _slow_turn(values: ComplexArray, weight: Array, sigma: Array) -> CommonTurn | None:
+    """Return the turn from each window to the next by a straight line, where it turns an amplitude by SLOW_SIGMAS."""
+    count, size, order = len(values), values.mean(axis=0), np.arange(1, values.shape[1] + 1)[:, None]
+    ratio = np.where(size != 0.0, values / np.where(size != 0.0, size, 1.0), 1.0)
+    turn, error = _slopes(_best_turn(np.einsum("whc,hc->wh", ratio, weight), order[:, 0]))
+    certain = float(stats.t.isf(FALSE_ALARM, np.array(count - 2.0)))
+    material = 0.5 * (count - 1) * abs(turn) * np.max(order * np.abs(size) / np.where(sigma > 0.0, sigma, np.inf))
+    if abs(turn) <= certain * error or material < SLOW_SIGMAS:
+        return None
+    of_order, of_order_error = _common_slopes(ratio.imag, weight / order, order, 2)
+    if np.count_nonzero(np.abs(of_order) > NOISE_LIMIT * of_order_error) < FEWEST_ORDERS:
+        return None
+    of_channel, of_channel_error = _common_slopes(ratio.imag, weight * order, order, 1)
+    slopes, errors = np.append(of_order, of_channel), np.append(of_order_error, of_channel_error)
+    is_alike = np.abs(slopes - turn) <= ALIKE_DEPARTURE * abs(turn) + NOISE_LIMIT * errors
+    return CommonTurn(0, float(turn), is_steady=True) if is_alike.all() else None
+
+
+def _common_slopes(turns: Array, weight: Array, order: NDArray[np.int64], axis: int) -> tuple[Array, Array]:
+    """Return the slopes of the turns (w, n, c) over their orders, averaged over an axis, and their standard errors."""
+    total = np.maximum(np.sum(weight * order, axis=axis - 1), np.finfo(float).tiny)
+    return _slopes(np.sum(turns * weight, axis=axis) / total)
+
+
+def _slopes(series: Array) -> tuple[Array, Array]:
+    """Return the slope (...) of series (w, ...) by windows, and its standard error."""
+    x = np.arange(len(series)) - 0.5 * (len(series) - 1)
+    centered = series - series.mean(axis=0)
+    slope = np.tensordot(x, centered, 1) / (x @ x)
+    rest = centered - np.multiply.outer(x, slope)
+    return slope, np.sqrt(np.sum(rest**2, axis=0) / ((len(series) - 2) * (x @ x)))
 
 
 def _sudden_turn(values: ComplexArray, size: ComplexArray, weight: Array) -> CommonTurn | None:

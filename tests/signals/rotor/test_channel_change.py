@@ -89,7 +89,7 @@ def test_windows_that_one_channel_lacks_are_found_where_they_matter():
 def test_a_slip_of_the_azimuth_is_found(angle, since):
     values, sigma = amplitudes(3)
     values[since:] *= turned(angle)[:, None]
-    turn = common_turn(values, np.ones((HARMONICS, CHANNELS)))
+    turn = common_turn(values, np.ones((HARMONICS, CHANNELS)), sigma)
     assert turn is not None and not turn.is_steady and abs(turn.window - since) <= 1
     assert turn.turn == pytest.approx(angle, abs=0.01)
     change = channel_change(values, SENSORS, sigma)
@@ -100,10 +100,24 @@ def test_a_slip_of_the_azimuth_is_found(angle, since):
 def test_pulses_of_another_record_are_found(step):
     values, sigma = amplitudes(4)
     values = values * np.exp(1j * step * np.arange(WINDOWS)[:, None] * np.arange(1, HARMONICS + 1))[:, :, None]
-    turn = common_turn(values, np.ones((HARMONICS, CHANNELS)))
+    turn = common_turn(values, np.ones((HARMONICS, CHANNELS)), sigma)
     assert turn is not None and turn.is_steady and turn.turn == pytest.approx(step, rel=0.1)
     change = channel_change(values, SENSORS, sigma)
     assert change is not None and "sample_rate" in change.question
+
+
+@pytest.mark.parametrize("windows", [10, 26, 48])
+def test_clocks_of_pulses_and_samples_that_differ_are_found(windows):
+    """A difference of 2e-4 had left more than 2000 standard deviations without a flag."""
+    for seed in range(10):
+        values, sigma = amplitudes(seed, noise=2e-3, windows=windows)
+        steps = 0.02 / windows * np.arange(windows)[:, None] * np.arange(1, HARMONICS + 1)
+        change = channel_change(values * np.exp(1j * steps)[:, :, None], SENSORS, sigma)
+        assert change is not None and change.column is None and "clock" in change.question
+        # A turn that sigma covers, and a load whose phase drifts.
+        assert channel_change(values * np.exp(1j * steps)[:, :, None], SENSORS, 100.0 * sigma) is None
+        values[:, 0] *= np.exp(1j * steps[:, :1])
+        assert channel_change(values, SENSORS, sigma) is None
 
 
 @pytest.mark.parametrize("orders", [(4,), (2,), (4, 8), (2, 4, 6, 8)])
@@ -114,8 +128,8 @@ def test_harmonics_of_the_blades_alone_are_steady_and_their_turns_are_found(orde
         values, sigma = amplitudes(seed, noise=1e-4)
         values[:, is_left_out] = amplitudes(seed + 99, noise=1e-4)[0][:, is_left_out]
         values[:, is_left_out] -= amplitudes(seed + 99, noise=0.0)[0][:, is_left_out]
-        assert common_turn(values, np.ones((HARMONICS, CHANNELS))) is None
+        assert common_turn(values, np.ones((HARMONICS, CHANNELS)), sigma) is None
         assert channel_change(values, SENSORS, sigma) is None
         steps = 0.01 * np.arange(WINDOWS)[:, None] * np.arange(1, HARMONICS + 1)
-        turn = common_turn(values * np.exp(1j * steps)[:, :, None], np.ones((HARMONICS, CHANNELS)))
+        turn = common_turn(values * np.exp(1j * steps)[:, :, None], np.ones((HARMONICS, CHANNELS)), sigma)
         assert turn is not None and turn.is_steady and turn.turn == pytest.approx(0.01, rel=0.1)
