@@ -91,8 +91,7 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
     offsets = _run_columns(rows)
     r, k = offsets.shape[1], rows.loads.shape[1]
     X = np.hstack([offsets, rows.loads, rows.uncarried_loads])
-    spread = np.ptp(rows.loads, axis=0)
-    tare = repeated_tares(rows.loads / np.where(spread > 0, spread, 1.0))
+    tare = repeated_tares(_load_shares(rows))
     points = len(X) - np.count_nonzero(tare) + len(np.unique(rows.run[tare]))
     if points <= X.shape[1]:
         fault = f"{points} load points for {X.shape[1]} coefficients of each channel"
@@ -106,9 +105,8 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
 
 def lack_of_fit_covariance(covariance: Array, regression: TrimRegression, rows: TrimRows) -> tuple[Array, int]:
     """Covariance (c, c) [V2] of a row, and its degrees of freedom, from that of all, repeated unloaded ones too."""
-    spread = np.ptp(rows.loads, axis=0)
-    x, dof = rows.loads / np.where(spread > 0, spread, 1.0), np.full(len(covariance), float(regression.dof))
-    growth, dof = lack_of_fit_variance(regression.residuals, rows.weight, x, rows.run, dof)
+    dof = np.full(len(covariance), float(regression.dof))
+    growth, dof = lack_of_fit_variance(regression.residuals, rows.weight, _load_shares(rows), rows.run, dof)
     return np.asarray(covariance * np.sqrt(growth[:, None] * growth)), int(dof.min())
 
 
@@ -125,6 +123,13 @@ def zeros_differ(few: TrimRegression, many: TrimRegression) -> bool:
 def standard_errors(covariance: Array) -> Array:
     """Standard errors (c, k) from a covariance (c, k, c, k)."""
     return np.asarray(np.sqrt(np.einsum("ijij->ij", covariance)))
+
+
+def _load_shares(rows: TrimRows) -> Array:
+    """Return all loads (m, k + u) over their ranges: rows with a load that the rig does not carry are not unloaded."""
+    loads = np.hstack([rows.loads, rows.uncarried_loads])
+    spread = np.ptp(loads, axis=0)
+    return np.asarray(loads / np.where(spread > 0, spread, 1.0))
 
 
 def _run_columns(rows: TrimRows) -> Array:
