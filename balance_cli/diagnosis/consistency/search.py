@@ -23,6 +23,8 @@ from balance_cli.diagnosis.consistency.trials import (
 
 MOST_MISTAKES = 8
 """More are not looked for: the campaign is then not to be repaired by naming them."""
+AGREEING_SHARE = 0.5
+"""Of the squared residuals of a run that has a mistake without showing it by itself: what undoing leaves at most."""
 ALTERNATIVE_SHARE = 0.5
 """Of the gain of a mistake in a run: where another run could have it with so much gain, both are named."""
 
@@ -80,7 +82,7 @@ def _spread(state: State, trial: Trial) -> tuple[Trial, State]:
         index
         for index in rest
         if energy_after(trial.hypothesis, corrected.runs[index], trial.value, corrected.weights[index])
-        < corrected.energy[index].sum() - SIGNIFICANT
+        < AGREEING_SHARE * corrected.energy[index].sum()
     )
     members = tuple(sorted({*shown, *agree}))
     return replace(trial, members=members), make_state(_undo(state.runs, trial, members), state.by_source)
