@@ -7,7 +7,9 @@ import pytest
 
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.search import search as search_module
 from balance_cli.diagnosis.search.refit import fit_until_stable
+from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.whole_fits import add_by_whole_fit
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
@@ -92,3 +94,27 @@ def test_a_support_as_heavy_and_as_soft_as_the_balance_is_found():
     assert label.startswith("support-flexibility@z") and found.error < 3 * NOISE
     fitted = dict(zip(found.model.parameters.names, found.theta.tolist(), strict=True))
     assert fitted[f"{label}.compliance_z"] == pytest.approx(1.0 / stiffness, rel=0.02)
+
+
+def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypatch):
+    """Of blind seed 53 they took a dashpot in place of a support; here they find nothing before it, then a mass."""
+    mass = RIG.bodies[0].mass
+    truth = {"mass": 5.0 * mass, "compliance_z": 0.05 / sum(cell.stiffness for cell in RIG.cells)}
+    support = DeclaredEffect(name="support-flexibility", where=("z",), parameters={**truth, "damping_ratio": 0.01})
+    point = {"mass": 0.3 * mass, "x": 0.1, "y": 0.0, "z": 0.3}
+    effects = (support, DeclaredEffect(name="added-mass", where=(), parameters=point))
+    lines = lines_of(RIG.model_copy(update={"effects": effects}))
+    state = fitted_state(lines)
+    assert SETTINGS.rounds.stuck_error < state.error < SETTINGS.rounds.gross_error
+    rounds = []
+
+    def in_vain_at_first(*arguments):
+        rounds.append(arguments[2])
+        return RoundResult(None) if len(rounds) == 1 else search_round(*arguments)
+
+    monkeypatch.setattr(search_module, "search_round", in_vain_at_first)
+    result = search_module.search(state.model, state.theta, lines, lambda text: False, (), SETTINGS)
+    accepted = [trial.label.split("@")[0] for trial in result.trials if trial.decision == "accepted"]
+    assert accepted == ["support-flexibility", "added-mass"]
+    assert result.state.error < 3 * NOISE
+    assert rounds[:2] == [1, 2] and result.trials[0].round == 1

@@ -19,7 +19,7 @@ from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fi
 from balance_cli.diagnosis.search.restarts import restart_one_by_one
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.diagnosis.search.whole_fits import add_by_whole_fit
+from balance_cli.diagnosis.search.whole_fits import add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.model.balance import BalanceModel
 
@@ -62,9 +62,24 @@ def search(
         pool = suspected_candidates(word, result.state.geometry)
         added = search_round(result.state, lines, 1, pool, settings) if pool else RoundResult(None)
         result = result.add(added.state or result.state, added.trials, added.alternatives)
+    base = result.state
+    result = _add_effects(result, 1, lines, announce, settings)
+    if result.state.error <= settings.rounds.stuck_error or announce("whole fits of a further body"):
+        return result
+    last = max((trial.round for trial in result.trials), default=0)
+    # A body far from its null, in whose place the rounds took what is not there.
+    with_body, trials, gains = add_body_by_whole_fit(base, result.state, lines, last + 1, settings)
+    result = result.add(with_body or result.state, trials, gains)
+    return result if with_body is None else _add_effects(result, last + 2, lines, announce, settings)
+
+
+def _add_effects(
+    result: SearchResult, first_round: int, lines: SearchLines, announce: Announce, settings: SearchSettings
+) -> SearchResult:
+    """Add effects one by one until none helps; where the error stays large, fit everything again."""
     limits, stuck = settings.rounds, False
     tried: SearchState | None = None
-    for number in range(1, limits.max_effects + 1):
+    for number in range(first_round, first_round + limits.max_effects):
         state = result.state
         if state.error < limits.small_error:
             break

@@ -7,7 +7,9 @@ motion comes near the truth (`estimation.starting_values`). The channels of a ce
 have it.
 
 A support as soft and as heavy as the balance splits a mode in two far from its place. A fit without it ends between
-the two, where no small compliance helps; a mode of free shape and a false gain of the load would describe more.
+the two, where no small compliance helps; a mode of free shape and a false gain of the load would describe more. Such a
+body is also tried where the rounds of the search have ended with a large error: a lighter one is hidden by what they
+take in its place.
 """
 
 from __future__ import annotations
@@ -36,27 +38,51 @@ def add_by_whole_fit(
 
     The state stays where its error is not gross, and where no effect lowers the error clearly on both sets of lines.
     """
-    limits = settings.rounds
-    if state.error <= limits.gross_error:
+    if state.error <= settings.rounds.gross_error:
         return state, (), {}
+    pool = (*_common_candidates(state, settings), *_large_bodies(state, settings))
+    accepted, trials, gains = _best_whole_fit(state, state, pool, lines, 1, settings)
+    return accepted or state, trials, gains
+
+
+def add_body_by_whole_fit(
+    base: SearchState, current: SearchState, lines: SearchLines, number: int, settings: SearchSettings
+) -> tuple[SearchState | None, tuple[Trial, ...], dict[str, dict[str, float]]]:
+    """Return the state `base` with a further body that describes more than the `current` one, as `add_by_whole_fit`.
+
+    `current`: where rounds from `base` have ended, with a large error. None without such a body. Trials have this round
+    `number`.
+    """
+    return _best_whole_fit(base, current, _large_bodies(base, settings), lines, number, settings)
+
+
+def _best_whole_fit(
+    base: SearchState,
+    current: SearchState,
+    pool: Sequence[Candidate],
+    lines: SearchLines,
+    number: int,
+    settings: SearchSettings,
+) -> tuple[SearchState | None, tuple[Trial, ...], dict[str, dict[str, float]]]:
+    """The whole fit of `base` with one of a pool that describes clearly more than `current`, None without one."""
     ends = dict[str, SearchState]()
-    for item in (*_common_candidates(state, settings), *_large_bodies(state, settings)):
-        end = _whole_fit(state, item, lines, settings)
+    for item in pool:
+        end = _whole_fit(base, item, lines, settings)
         if item.label not in ends or end.fit_criterion < ends[item.label].fit_criterion:
             ends[item.label] = end
     gains = {
-        label: state.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(state.theta))
+        label: base.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(base.theta))
         for label, end in ends.items()
     }
     best = max(gains, key=lambda label: gains[label], default=None)
     is_better = best is not None and (
-        ends[best].error < limits.slow_progress * state.error
-        and ends[best].validation_criterion < state.validation_criterion
+        ends[best].error < settings.rounds.slow_progress * current.error
+        and ends[best].validation_criterion < current.validation_criterion
     )
     accepted = best if is_better else None
-    trials = tuple(_trial(label, gain, label == accepted) for label, gain in gains.items())
+    trials = tuple(_trial(label, gain, label == accepted, number) for label, gain in gains.items())
     if accepted is None:
-        return state, trials, {}
+        return None, trials, {}
     return ends[accepted], trials, {accepted: gains}
 
 
@@ -98,9 +124,9 @@ def _whole_fit(state: SearchState, candidate: Candidate, lines: SearchLines, set
     return fit_until_stable(model, theta, lines, settings.fit)
 
 
-def _trial(label: str, gain: float, accepted: bool) -> Trial:
+def _trial(label: str, gain: float, accepted: bool, number: int) -> Trial:
     return Trial(
-        round=1,
+        round=number,
         label=label,
         score=float("nan"),
         parameters=1,
