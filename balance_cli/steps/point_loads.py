@@ -108,7 +108,7 @@ def point_loads(
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     if direct is None:
         covariance *= _widening(model) * model.model.weight_widening(model.rows)
-    covariance = covariance + weight_covariance(readings, calibration, zero)
+    covariance = covariance + _hysteresis_variance(calibration, model) + weight_covariance(readings, calibration, zero)
     quantile = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)
     unknown = ~converged
     loads[unknown], covariance[unknown] = np.nan, np.nan
@@ -209,6 +209,22 @@ def _load_covariances(
 def _blocks(count: int) -> list[slice]:
     """The rows in blocks of ROWS_AT_ONCE."""
     return [slice(start, start + ROWS_AT_ONCE) for start in range(0, count, ROWS_AT_ONCE)]
+
+
+def _hysteresis_variance(calibration: Calibration, model: _Model) -> Array:
+    """Variance (k, k) [N2, (N m)2] of loads of which nobody knows whether they were reached from above or from below.
+
+    Half of the mean width of the loop in the trim where it is widest, less what noise makes of it. In a calibration the
+    noise of the applied loads has the same pattern, and contains it; the readings of a test do not have that noise.
+    """
+    components = model.model.components
+    variance = np.zeros(len(components))
+    for trim in calibration.trims.values():
+        at = [components.index(name) for name in trim.components if name in components]
+        own = [j for j, name in enumerate(trim.components) if name in components]
+        excess = trim.hysteresis.loads[own] ** 2 - trim.hysteresis.loads_sigma[own] ** 2
+        variance[at] = np.maximum(variance[at], 0.25 * np.maximum(np.nan_to_num(excess), 0.0))
+    return np.diag(variance)
 
 
 def _widening(usable: _Model) -> float:
