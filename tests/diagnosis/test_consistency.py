@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run, pick_channels
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import geometry_faults
 from balance_cli.campaign.rig.geometry_file import load_geometry
@@ -79,6 +80,31 @@ def test_a_mistake_is_a_fault_and_named(spoil: Spoil, text: str) -> None:
     assert len(findings) == 1
     assert findings[0].severity == FAULT
     assert text in findings[0].sentence
+
+
+TURNS = {
+    "z down": ((1, -2, -3, 4, -5, -6), "Fy, Fz, My, Mz of the rig are -Fy, -Fz, -My, -Mz"),
+    "half a turn about z": ((-1, -2, 3, -4, -5, 6), "Fx, Fy, Mx, My of the rig are -Fx, -Fy, -Mx, -My"),
+    "a quarter turn about z": ((2, -1, 3, 5, -4, 6), "Fx, Fy, Mx, My of the rig are -Fy, Fx, -My, Mx"),
+    "lift and pitch reversed": ((1, 2, -3, 4, -5, 6), "Fz, My of the rig are -Fz, -My"),
+}
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("select", [named("static"), every])
+def test_loads_in_other_axes_are_named(turn: str, select: Callable[[Run], bool]) -> None:
+    """Of static runs a quarter turn had no finding at all; the others were channels reversed or exchanged."""
+    index, words = TURNS[turn]
+    order, sign = np.abs(index) - 1, np.sign(index)
+
+    def change(run: Run) -> Run:
+        block = run.read()
+        excited = tuple(COMPONENTS[int(np.flatnonzero(order == COMPONENTS.index(name))[0])] for name in run.excited)
+        return replace(run, source=MemorySource(block.channels, sign * block.loads[:, order]), excited=excited)
+
+    runs = tuple(change(run) if select(run) else run for run in campaign())
+    findings = [finding for finding in campaign_findings(rotor_balance(), runs) if finding.is_fault]
+    assert len(findings) == 1 and words in findings[0].sentence, findings
 
 
 def test_a_gain_is_a_warning_with_its_factor() -> None:

@@ -8,7 +8,13 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.consistency import findings as kinds
 from balance_cli.diagnosis.consistency.findings import FAULT, WARNING, ConsistencyFinding
-from balance_cli.diagnosis.consistency.hypotheses import EXCHANGE_CHANNELS, EXCHANGE_LOADS, SCALE_CHANNELS, Hypothesis
+from balance_cli.diagnosis.consistency.hypotheses import (
+    EXCHANGE_CHANNELS,
+    EXCHANGE_LOADS,
+    SCALE_CHANNELS,
+    TURN_LOADS,
+    Hypothesis,
+)
 from balance_cli.diagnosis.consistency.search import Mistake
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, VOLT_UNITS, suggest_units
 
@@ -44,6 +50,8 @@ def _with_runs(finding: ConsistencyFinding, runs: tuple[str, ...], everywhere: b
 
 def _describe(mistake: Mistake, geometry: Geometry) -> ConsistencyFinding | None:
     hypothesis = mistake.hypothesis
+    if hypothesis.kind == TURN_LOADS:
+        return _turned_loads(mistake)
     if hypothesis.kind in (EXCHANGE_CHANNELS, EXCHANGE_LOADS):
         return _exchange(mistake, geometry)
     factor = 1.0 / mistake.factor if mistake.factor else float("inf")
@@ -74,6 +82,16 @@ def _exchange(mistake: Mistake, geometry: Geometry) -> ConsistencyFinding:
         return _finding(mistake, kinds.EXCHANGED_CHANNELS, FAULT, text, channels=channels, cells=cells)
     text = f"{channels[0]} and {channels[1]} are exchanged" + _or_rivals(mistake, geometry)
     return _finding(mistake, kinds.EXCHANGED_CHANNELS, FAULT, text, channels=channels)
+
+
+def _turned_loads(mistake: Mistake) -> ConsistencyFinding:
+    """The loads that are in other axes than the rig's, as each would have to be read."""
+    index = mistake.hypothesis.indices
+    changed = [j for j, place in enumerate(index) if place != j + 1]
+    names = tuple(COMPONENTS[j] for j in changed)
+    read = ", ".join(f"{'-' * (index[j] < 0)}{COMPONENTS[abs(index[j]) - 1]}" for j in changed)
+    text = f"the loads are in other axes than those of the rig: {', '.join(names)} of the rig are {read}"
+    return _finding(mistake, kinds.EXCHANGED_LOADS, FAULT, text, components=names)
 
 
 def _rival_names(mistake: Mistake, geometry: Geometry) -> list[str]:

@@ -17,13 +17,15 @@ ComplexArray = NDArray[np.complex128]
 
 EXCHANGE_CHANNELS, EXCHANGE_LOADS = "exchange channels", "exchange loads"
 SCALE_CHANNELS, SCALE_LOADS = "scale channels", "scale loads"
+TURN_LOADS = "turn loads"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One mistake: channels or loads exchanged, or scaled by one real factor.
+    """One mistake: channels or loads exchanged, or scaled by one real factor; or all loads in other axes.
 
-    `indices` are those of the channels or components concerned; of exchanged ones, each with its partner next to it.
+    `indices` are those of the channels or components concerned; of exchanged ones, each with its partner next to it. Of
+    other axes they are the loads of the file that the six are, from 1 on, negative where they are reversed.
     """
 
     kind: str
@@ -64,6 +66,8 @@ def undo(hypothesis: Hypothesis, run: Evidence, value: float) -> Corrected:
         loads = loads.copy()
         if hypothesis.kind == EXCHANGE_LOADS:
             loads[:, index] = loads[:, index[::-1]]
+        elif hypothesis.kind == TURN_LOADS:
+            loads = np.sign(index) * loads[:, np.abs(index) - 1]
         else:
             loads[:, index] *= value
     return Corrected(forces, loads)

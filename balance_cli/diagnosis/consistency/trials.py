@@ -18,6 +18,7 @@ from balance_cli.diagnosis.consistency.hypotheses import (
     EXCHANGE_CHANNELS,
     EXCHANGE_LOADS,
     SCALE_LOADS,
+    TURN_LOADS,
     Hypothesis,
     candidate_hypotheses,
     effect_of_mistake,
@@ -25,6 +26,7 @@ from balance_cli.diagnosis.consistency.hypotheses import (
     undo,
     without_scaled_pairs,
 )
+from balance_cli.diagnosis.consistency.load_axes import signed_loads
 from balance_cli.diagnosis.consistency.residuals import (
     REMAINING_SHARE,
     SIGNIFICANT,
@@ -126,7 +128,9 @@ def _trials_for(
     components = sorted({j for index in members for j in state.runs[index].applied}) if responds else []
     trials = []
     pairs = exchanges_in_all([exchanges[index] for index in members])
-    for hypothesis in candidate_hypotheses(suspicious, components, pairs, state.by_source):
+    axes = signed_loads([state.runs[index] for index in members]) if components else None
+    turned = [] if axes is None else [Hypothesis(TURN_LOADS, axes)]
+    for hypothesis in [*candidate_hypotheses(suspicious, components, pairs, state.by_source), *turned]:
         concerned = tuple(index for index in members if changes_residuals(hypothesis, state.runs[index]))
         if concerned and (len(members) == 1 or len(concerned) > 1):
             trial = _try(state, hypothesis, concerned)
@@ -136,6 +140,8 @@ def _trials_for(
 
 def changes_residuals(hypothesis: Hypothesis, run: Evidence) -> bool:
     """Whether a mistake would change the residuals of a run."""
+    if hypothesis.kind == TURN_LOADS:
+        return any(hypothesis.indices[j] != j + 1 for j in run.applied)
     if hypothesis.kind in (EXCHANGE_LOADS, SCALE_LOADS):
         return bool(set(hypothesis.indices) & set(run.applied))
     present = np.isfinite(run.forces[:, list(hypothesis.indices)]).all(axis=0)
