@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
     CONTRADICTED,
@@ -31,6 +32,7 @@ from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.effects import EFFECTS
+from balance_cli.model.effects.places import channels_at
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import PlacedEffect
 
@@ -166,6 +168,13 @@ def _rms(values: Iterable[float]) -> float:
     return float(sum(squares) / len(squares)) ** 0.5 if squares else float("nan")
 
 
+LATE_LOADS = "load-delay@all"
+COMMON_DELAY_REMEDY = (
+    "Record one signal by the boxes of channels and of loads. Channels that are late or early turn the harmonics of "
+    "wind-on loads, exciters' loads that are early or late do not: if it is these, fit `load-delay@all`"
+)
+
+
 def describe_added_effects(
     placed: Sequence[PlacedEffect],
     fitted: Sequence[FittedEffect],
@@ -186,6 +195,7 @@ def describe_added_effects(
         if support is None:
             continue
         described = by_label[effect.label]
+        others, remedy = _alternatives(effect, support.equivalent, update.fit.model.geometry)
         parameters = tuple(
             replace(item, interval=intervals.get(f"{effect.label}.{item.name}")) for item in described.parameters
         )
@@ -195,13 +205,27 @@ def describe_added_effects(
                 where=described.where,
                 parameters=parameters,
                 evidence=_evidence(effect, update, batches, settings),
-                indistinguishable_from=support.equivalent,
-                separated_by=effect.effect.separated_by if support.equivalent else "",
+                indistinguishable_from=others,
+                separated_by=remedy,
                 choice=described.choice,
                 worth=effect_worth(update.fit, effect, batches),
             )
         )
     return tuple(sorted(effects, key=lambda item: -item.evidence.gain))
+
+
+def _alternatives(effect: PlacedEffect, equivalent: tuple[str, ...], geometry: Geometry) -> tuple[tuple[str, ...], str]:
+    """The effects that describe the data as well, those found to be `equivalent` first, and what separates them."""
+    if is_common_delay(effect, geometry):
+        return (*equivalent, LATE_LOADS), COMMON_DELAY_REMEDY
+    return equivalent, effect.effect.separated_by if equivalent else ""
+
+
+def is_common_delay(effect: PlacedEffect, geometry: Geometry) -> bool:
+    """Whether an effect delays all channels: loads that are early by as much look the same."""
+    return effect.effect.name == "time-delay" and set(channels_at(geometry, effect.where)) == set(
+        geometry.channel_names
+    )
 
 
 def _evidence(
