@@ -85,6 +85,7 @@ def without_group_signs(text: bytes, sign: str, decimal: str, separator: str, en
 
     Where the sign is the separator, too, such cells are in quotes.
     """
+    encoding = encoding.removesuffix("-sig")  # with it each sign would begin with the mark of the file
     edges = '"' if sign == separator else f'"\r\n {"" if separator == " " else separator}'
     edge = b"[" + re.escape(edges.encode(encoding, "ignore")) + b"]"
     group, point = (re.escape(each.encode(encoding, "ignore")) for each in (sign, decimal))

@@ -167,6 +167,15 @@ def test_layouts_that_could_give_wrong_numbers_are_refused(tmp_path, text, fault
         [group.read(range(len(group.names)), 0, group.samples) for group in file.groups]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("layout", ["Excel, German thousands", "Excel, English thousands", "Swiss thousands"])
+def test_thousands_are_read_in_every_encoding(tmp_path, layout, encoding):
+    """Excel writes UTF-8 with a byte order mark, with which each `1.234,5` was not a number."""
+    text, values, _ = RIGHT[layout]
+    file = opened(tmp_path, text, encoding)
+    assert np.array_equal(np.column_stack([whole(file, "A"), whole(file, "B")]), values)
+
+
 def test_dates_without_a_name_are_the_time(tmp_path):
     """As seismic stations write records: a line of words, then date and value."""
     rows = lines(lambda k: f"{(BEGIN + timedelta(milliseconds=k)).isoformat(timespec='microseconds')}  {X[k, 0]:.6f}")
