@@ -11,12 +11,16 @@ from balance_cli.signals.static_waveform import StaticWaveform
 
 Array = NDArray[np.float64]
 
+COLLINEARITY_RATIO = 1e-6
+"""Singular value over the largest below which loads are constant within their load series, but for rounding."""
+
 
 def static_lines(points: StaticPoints) -> RunSpectrum:
     """A static run as lines at frequency zero: its regression coefficients, scaled to independent experiments.
 
     With the centered loads U = Q R the lines Q' Y are R C0' with noise `covariance` in each, so that the linear part of
-    all rows is kept without loss. The noise is real: as circular noise it counts double. Where the points come with
+    all rows is kept without loss. Loads are centered in each load series that the run states, so that its zero is in no
+    line. The noise is real: as circular noise it counts double. Where the points come with
     `share`, Q is complete: lines without load contain the nonlinear part of the rows. Where the noise differs between
     rows, each of these lines is then one of rows with equal noise, but for the differences between their means. Lines
     count as independent, with a noise that is not smaller than that of the correlated ones (see `NoisePart.project`).
@@ -24,7 +28,7 @@ def static_lines(points: StaticPoints) -> RunSpectrum:
     channels = points.channels - points.channels.mean(axis=0)
     loads = points.loads - points.loads.mean(axis=0)
     is_varied = np.ptp(points.loads, axis=0) > 0
-    Q = np.linalg.qr(loads[:, is_varied])[0] if points.share is None else _complete_basis(points, is_varied)
+    Q = _load_basis(points, is_varied) if points.share is None else _complete_basis(points, is_varied)
     R = Q.T @ loads[:, is_varied]
     components = tuple(name for name, used in zip(COMPONENTS, is_varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
@@ -46,16 +50,47 @@ def static_lines(points: StaticPoints) -> RunSpectrum:
     )
 
 
+def _series_rows(points: StaticPoints) -> list[NDArray[np.intp]]:
+    """Rows of each load series that has several; all rows where none are stated."""
+    if points.series is None:
+        return [np.arange(len(points.loads))]
+    rows = [np.flatnonzero(points.series == number) for number in range(int(points.series.max()) + 1)]
+    return [each for each in rows if len(each) > 1]
+
+
+def _load_basis(points: StaticPoints, is_varied: NDArray[np.bool_]) -> Array:
+    """Q (m, q) over the loads about the mean of their load series."""
+    loads = np.zeros((len(points.loads), int(np.count_nonzero(is_varied))))
+    for rows in _series_rows(points):
+        loads[rows] = points.loads[rows][:, is_varied] - points.loads[rows][:, is_varied].mean(axis=0)
+    # One line for each load where all of them vary within the series: each then has the noise of its own rows.
+    Q, R = np.linalg.qr(loads)
+    if np.min(np.abs(np.diag(R)) / np.linalg.norm(points.loads[:, is_varied], axis=0)) > COLLINEARITY_RATIO:
+        return np.asarray(Q)
+    U, s, _ = np.linalg.svd(loads / np.ptp(points.loads[:, is_varied], axis=0), full_matrices=False)
+    return np.asarray(U[:, s > COLLINEARITY_RATIO * s[0]])
+
+
 def _complete_basis(points: StaticPoints, is_varied: NDArray[np.bool_]) -> Array:
+    """Q (m, m - s) over all that is orthogonal to a constant in each of s load series."""
+    shares = [part.share for part in points.noise_parts] or [np.ones(len(points.loads))]
+    blocks = []
+    for rows in _series_rows(points):
+        part = _basis_of_series(points.loads[rows][:, is_varied], np.stack(shares, axis=1)[rows])
+        block = np.zeros((len(points.loads), part.shape[1]))
+        block[rows] = part
+        blocks.append(block)
+    return np.hstack(blocks)
+
+
+def _basis_of_series(loads: Array, shares: Array) -> Array:
     """Q (m, m-1) over all that is orthogonal to a constant, within each group of rows with equal noise first.
 
     In a group the first columns are those of its loads about their mean. The means of the groups are combined to
     differences by the Householder reflection of the constant on the group with the least noise: each remains nearly one
     group's own.
     """
-    loads = points.loads[:, is_varied]
-    shares = [part.share for part in points.noise_parts] or [np.ones(len(loads))]
-    groups = np.unique(np.stack(shares, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    groups = np.unique(shares, axis=0, return_inverse=True)[1].reshape(-1)
     count = int(groups.max()) + 1
     within, means = [], np.zeros((len(loads), count))
     for number in range(count):

@@ -106,7 +106,8 @@ class StaticPoints:
     `covariance` (c, c) is the noise of `channels - C0 loads` in a row, that of the load readings included; it is
     estimated from second differences along the load series and not from the residual of a fit.
     `share` (c,) is the weight of each channel among those of its spring, where forces are computed from them.
-    `noise_parts`, with a share (m,) for each row, are its components, where the rows differ in noise.
+    `noise_parts`, with a share (m,) for each row, are its components, where the rows differ in noise. `series` (m,):
+    number of the stated load series of each row, of which each has its own zero; None where the run states none.
     """
 
     run: str
@@ -118,6 +119,7 @@ class StaticPoints:
     dof: float
     share: Array | None = None
     noise_parts: tuple[NoisePart, ...] = ()
+    series: NDArray[np.intp] | None = None
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,11 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
         raise run_error(run, fault, "Apply the loads in steps, up and down")
     covariance, dof = difference_covariance(channels, loads, differences)
     parts = _noise_parts(channels, loads, differences, covariance, dof)
-    names = tuple(channel_names)
-    return StaticPoints(run.name, run.trim or "", names, channels, loads, covariance, dof, noise_parts=parts)
+    names, labels = tuple(channel_names), run.series_labels
+    series = None if labels is None else np.unique(labels, return_inverse=True)[1].reshape(-1)
+    return StaticPoints(
+        run.name, run.trim or "", names, channels, loads, covariance, dof, noise_parts=parts, series=series
+    )
 
 
 def _independent_differences(loads: Array, operator: Array, needed: int) -> int:

@@ -147,3 +147,21 @@ def test_slopes_have_the_distribution_that_their_noise_says(load_noise, grows):
             gain = 2.0 * score**2 / (influence[k, :, 0].real @ along)
             p_values.append(gain_p_value(gain, 1, float(dof)))
     assert np.mean(np.array(p_values) < 0.01) < 0.035, "0.17 to 0.50 with the diagonal of the covariance inverted"
+
+
+@pytest.mark.parametrize("share", [None, np.ones(2)])
+@pytest.mark.parametrize("zeros", [0.0, 1.0, 1e4])
+def test_the_zeros_of_stated_load_series_are_in_no_line(share, zeros):
+    """Zeros of 2 and 20 mV had raised chi-square of a sound static run to 45 and 4500 per degree of freedom."""
+    rng = np.random.default_rng(8)
+    series = np.repeat(np.arange(6), 7)
+    ramp = np.array([0, 1, 2, 3, 2, 1, 0]) / 3
+    loads = np.vstack([np.outer(ramp, 100.0 * np.eye(6)[j]) for j in range(6)])
+    matrix = rng.standard_normal((2, 6))
+    exact = loads @ matrix.T
+    shifted = exact + zeros * rng.standard_normal((6, 2))[series]
+    points = StaticPoints("static", "bare", ("a", "b"), shifted, loads, np.eye(2), 30.0, share=share, series=series)
+    lines = static_lines(points)
+    columns = [("Fx", "Fy", "Fz", "Mx", "My", "Mz").index(name) for name in lines.components]
+    assert np.allclose(lines.channels, lines.loads @ matrix[:, columns].T, atol=1e-6)
+    assert np.linalg.matrix_rank(lines.loads.real) == 6
