@@ -49,6 +49,8 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     if not channel_names:
         raise run_error(run, "none of its channels can be used", "Repair the channels, or leave the run out")
     channels, loads = read_samples(run, channel_names)
+    if not np.any(np.ptp(loads, axis=0)):
+        raise run_error(run, "its loads do not change", "Apply loads in steps, up and down", "loads")
     differences, needed = second_differences(loads), len(channel_names) + 2
     count = _independent_differences(loads, differences, needed)
     if count < needed:

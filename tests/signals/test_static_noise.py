@@ -121,6 +121,15 @@ def test_random_poses_have_no_ramp():
         static_points(run_of(loads, rng.normal(size=(40, 4))), CHANNELS)
 
 
+@pytest.mark.parametrize("volts", [0.0, 1.0])
+def test_rows_of_one_load_are_refused(volts):
+    """Without any load and any reading the covariance of the noise had no inverse."""
+    rows, channels = np.full((25, 6), volts), np.full((25, 2), volts)
+    run = Run("static", "RTS-6", "static", ("a", "b"), 25, MemorySource(channels, rows), True)
+    with pytest.raises(UserError, match="its loads do not change"):
+        static_points(run, ("a", "b"))
+
+
 def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
     """The torque meter reads 0.02 V/(N m): beside its own 0.2 mV the moment's 0.05 N m are 1 mV."""
     rig, noise = true_rig(rotor_balance()), Noise()
