@@ -27,6 +27,9 @@ KNOWN_SHARE = 0.1
 ALIKE_SHARE, ALIKE_DEPARTURE = 0.9, 0.25
 """Share of these amplitudes that must have the change of all, and by how much of its size they may miss it: a load that
 itself changes a little meanwhile does not hide it."""
+POOLED_DEPARTURE = 2.0
+"""Mean square of what amplitudes depart from one factor, over that of noise, up to which they share it. From four
+windows the variance of noise has six degrees of freedom, so that the mean is up to 1.5 without any departure."""
 TURNS = np.arange(360) * (2.0 * np.pi / 360.0)
 """Turns of the azimuth that are tried first [rad]: between two the twentieth harmonic turns by 20 deg."""
 
@@ -66,6 +69,7 @@ def common_change(values: ComplexArray) -> CommonChange | None:
         rows = is_clear[i]
         change = _change_at(ratio[i, rows], relative_error[i, rows], order[rows], int(splits[i]))
         candidates += [] if change is None else [change]
+    candidates += _pooled_factor(before, after, error, splits)
 
     def shared_change(change: CommonChange) -> float:
         return change.size * (1.0 - change.misfit / ALIKE_DEPARTURE) * float(np.sqrt(_balance(change.window, values)))
@@ -108,6 +112,29 @@ def _change_at(ratio: ComplexArray, relative_error: Array, order: NDArray[np.int
     if size < LEAST_CHANGE or np.mean(missed < ALIKE_DEPARTURE) < ALIKE_SHARE:
         return None
     return CommonChange(factor, float(np.angle(np.exp(1j * turn))), k, size, float(np.median(missed)))
+
+
+def _pooled_factor(
+    before: ComplexArray, after: ComplexArray, error: Array, splits: NDArray[np.intp]
+) -> list[CommonChange]:
+    """Return the factor that all amplitudes (s, r) share after the split that shows it best; empty where there is none.
+
+    Gusts hide a tenth in each amplitude, but not in their weighted mean.
+    """
+    weight = np.where(error > 0.0, 1.0 / np.maximum(error, np.finfo(float).tiny), 0.0)
+    b, a = before * weight, after * weight
+    information = np.abs(b) ** 2
+    total = np.maximum(information.sum(axis=1), np.finfo(float).tiny)
+    factor = np.sum((b.conj() * a).real, axis=1) / total
+    departure = np.mean(np.abs(a - factor[:, None] * b) ** 2, axis=1) / 2.0
+    shared_by = total**2 / np.maximum(np.sum(information**2, axis=1), np.finfo(float).tiny)
+    size, sigma = np.abs(factor - 1.0), total**-0.5
+    is_common = (size > LEAST_CHANGE) & (sigma < KNOWN_SHARE * size)
+    is_common &= (shared_by >= FEWEST_AMPLITUDES) & (departure < POOLED_DEPARTURE)
+    if not np.any(is_common):
+        return []
+    i = int(np.argmax(np.where(is_common, size / sigma, 0.0)))
+    return [CommonChange(float(factor[i]), 0.0, int(splits[i]), float(size[i]), float(sigma[i] / size[i]))]
 
 
 def _expected(ratio: ComplexArray, order: NDArray[np.intp]) -> tuple[float, float, ComplexArray]:

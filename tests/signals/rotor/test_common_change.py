@@ -35,6 +35,26 @@ def test_a_gain_and_a_turn_are_found(factor: float, degrees: float) -> None:
     assert abs(change.window - 20) <= 1
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1, -1.0])
+def test_a_gain_among_gusts_is_found_from_all_amplitudes(factor: float) -> None:
+    """Gusts of a twentieth of the largest harmonic: none of the amplitudes is known to a hundredth."""
+    for seed in range(20):
+        values = amplitudes(seed, noise=0.05)
+        values[:, :, 3:] = 0.0
+        change = common_change(change_from(values, 24, factor, 0.0))
+        assert change is not None and change.factor == pytest.approx(factor, abs=0.04)
+        assert common_change(values) is None
+
+
+def test_slow_gusts_are_no_common_gain() -> None:
+    """Their windows are not independent, and means before and after differ by more than the scatter says."""
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        values = amplitudes(seed, noise=0.01)
+        drift = np.cumsum(rng.normal(size=(2, WINDOWS, ORDERS, LOADS)), axis=1) / np.sqrt(WINDOWS)
+        assert common_change(values + 0.1 * (drift[0] + 1j * drift[1])) is None
+
+
 def test_a_clock_that_runs_away_is_found() -> None:
     values = amplitudes(2)
     drift = np.radians(40.0) * np.arange(WINDOWS) / WINDOWS
