@@ -54,7 +54,7 @@ def calibrate(
     >>> calibration = bal.calibrate("sample_data/static-bare.h5", "configs/rts-6.yaml")
     >>> calibration
     Calibration of RTS-6: 1 trim
-      bare: 121 rows, condition 7.4, largest residual 0.0325 % FS (Mx)
+      bare: 121 rows, condition 7.4, largest residual 0.0326 % FS (Mx)
     >>> calibration.to_frame().loc[:1, ["trim", "channel", "Fx"]].round(5)
        trim    channel       Fx
     0  bare   x.strain  0.00188

@@ -60,7 +60,7 @@ def load_artefact(path: PathLike) -> Any:
     >>> digest = bal.save_artefact(file, bal.calibrate(run, geometry), inputs=[geometry, run])
     >>> bal.load_artefact(file)
     Calibration of RTS-6: 1 trim
-      bare: 121 rows, condition 7.4, largest residual 0.0325 % FS (Mx)
+      bare: 121 rows, condition 7.4, largest residual 0.0326 % FS (Mx)
     >>> folder.cleanup()
     """
     return artefacts.load_artefact(Path(path), ARTEFACT_TYPES).content

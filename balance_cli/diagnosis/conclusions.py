@@ -33,6 +33,7 @@ from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.effects.places import channels_at
+from balance_cli.model.effects.search_hints import CommonAlternative
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import PlacedEffect
 
@@ -168,13 +169,6 @@ def _rms(values: Iterable[float]) -> float:
     return float(sum(squares) / len(squares)) ** 0.5 if squares else float("nan")
 
 
-LATE_LOADS = "load-delay@all"
-COMMON_DELAY_REMEDY = (
-    "Record one signal by the boxes of channels and of loads. Channels that are late or early turn the harmonics of "
-    "wind-on loads, exciters' loads that are early or late do not: if it is these, fit `load-delay@all`"
-)
-
-
 def describe_added_effects(
     placed: Sequence[PlacedEffect],
     fitted: Sequence[FittedEffect],
@@ -216,16 +210,18 @@ def describe_added_effects(
 
 def _alternatives(effect: PlacedEffect, equivalent: tuple[str, ...], geometry: Geometry) -> tuple[tuple[str, ...], str]:
     """The effects that describe the data as well, those found to be `equivalent` first, and what separates them."""
-    if is_common_delay(effect, geometry):
-        return (*equivalent, LATE_LOADS), COMMON_DELAY_REMEDY
+    alike = alike_in_all(effect, geometry)
+    if alike is not None:
+        return (*equivalent, alike.label), alike.separated_by
     return equivalent, effect.effect.separated_by if equivalent else ""
 
 
-def is_common_delay(effect: PlacedEffect, geometry: Geometry) -> bool:
-    """Whether an effect delays all channels: loads that are early by as much look the same."""
-    return effect.effect.name == "time-delay" and set(channels_at(geometry, effect.where)) == set(
-        geometry.channel_names
-    )
+def alike_in_all(effect: PlacedEffect, geometry: Geometry) -> CommonAlternative | None:
+    """Return the effect that looks the same as this one in all channels of a geometry; None where it acts on some."""
+    alike = effect.effect.search.alike_in_all
+    if alike is None or set(channels_at(geometry, effect.where)) != set(geometry.channel_names):
+        return None
+    return alike
 
 
 def _evidence(

@@ -3,7 +3,7 @@
 import pytest
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.conclusions import COMMON_DELAY_REMEDY, LATE_LOADS, is_common_delay
+from balance_cli.diagnosis.conclusions import alike_in_all
 from balance_cli.model.placed_effects import place_effect
 from tests.support.rigs import rotor_balance
 
@@ -29,7 +29,8 @@ def test_a_delay_of_all_channels_may_be_one_of_the_loads(
     geometry: Geometry, name: str, place: str, is_common: bool
 ) -> None:
     """Loads 3 ms late were a delay of -3 ms of all channels, which turns 1/rev by 20 deg, without an alternative."""
-    assert is_common_delay(place_effect(name, (place,), geometry), geometry) is is_common
-    name, place = LATE_LOADS.split("@")
-    alternative = place_effect(name, (place,), geometry)
-    assert alternative.label == LATE_LOADS and LATE_LOADS in COMMON_DELAY_REMEDY
+    alike = alike_in_all(place_effect(name, (place,), geometry), geometry)
+    assert (alike is not None) is is_common
+    if alike is not None:
+        name, place = alike.label.split("@")
+        assert place_effect(name, (place,), geometry).label == alike.label and alike.label in alike.separated_by

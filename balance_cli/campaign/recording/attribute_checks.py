@@ -81,6 +81,5 @@ def _text_fault(attributes: Mapping[str, Any], name: str) -> Iterator[UserError]
 
 
 def _attribute_fault(name: str, value: object, expected: str) -> UserError:
-    shown = f"{value:.10g}" if isinstance(value, float) else repr(value)
-    fault = "is missing" if value is None else f"is {shown}"
+    fault = "is missing" if value is None else f"is {value!r}"
     return UserError(f"attribute `{name}` {fault}", place=f"attribute {name}", remedy=f"It should be {expected}")

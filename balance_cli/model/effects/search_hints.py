@@ -78,6 +78,17 @@ class ToneParameters:
 
 
 @dataclass(frozen=True)
+class CommonAlternative:
+    """The effect `label` (with its place) that looks the same where an effect acts on all channels.
+
+    `separated_by`: what tells them apart.
+    """
+
+    label: str
+    separated_by: str
+
+
+@dataclass(frozen=True)
 class SearchHints:
     """How a search finds an effect; an effect without hints is scored once, at the null, at each of its places.
 
@@ -95,6 +106,7 @@ class SearchHints:
     - `channel_ratio`: the difference between two channels of one cell that the effect explains.
     - `point_mass`: the effect is a point mass, which can be scored at all positions at once.
     - `tone`: the effect is a tone, whose frequency is searched over the lobes of the spectrum.
+    - `alike_in_all`: the effect that looks the same where this one acts on all channels.
     """
 
     places: Callable[[Geometry], tuple[Where, ...]] | None = None
@@ -109,3 +121,4 @@ class SearchHints:
     channel_ratio: ChannelRatio | None = None
     point_mass: PointMassParameters | None = None
     tone: ToneParameters | None = None
+    alike_in_all: CommonAlternative | None = None

@@ -12,7 +12,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, channels_at, each_channel_or_group
-from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
+from balance_cli.model.effects.search_hints import ChannelRatio, CommonAlternative, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import ChannelPath, Equations
 
@@ -52,6 +52,12 @@ RATIO = ChannelRatio(
 )
 """The parameter is the delay [s]."""
 
+LATE_LOADS = CommonAlternative(
+    "load-delay@all",
+    "Record one signal by the boxes of channels and of loads. Channels that are late or early turn the harmonics of "
+    "wind-on loads, exciters' loads that are early or late do not: if it is these, fit `load-delay@all`",
+)
+
 EFFECT = Effect(
     name="time-delay",
     summary="A channel is recorded later (or earlier) than the loads.",
@@ -64,5 +70,5 @@ EFFECT = Effect(
     places=each_channel_or_group,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(channel_ratio=RATIO),
+    search=SearchHints(channel_ratio=RATIO, alike_in_all=LATE_LOADS),
 )
