@@ -27,6 +27,8 @@ KNOWN_SHARE = 0.1
 ALIKE_SHARE, ALIKE_DEPARTURE = 0.9, 0.25
 """Share of these amplitudes that must have the change of all, and by how much of its size they may miss it: a load that
 itself changes a little meanwhile does not hide it."""
+LEAST_INFORMATION = 25.0
+"""Power of an amplitude over the square of its error from which it tells a factor: what noise has once in 10^5."""
 POOLED_DEPARTURE = 2.0
 """Mean square of what amplitudes depart from one factor, over that of noise, up to which they share it. From four
 windows the variance of noise has six degrees of freedom, so that the mean is up to 1.5 without any departure."""
@@ -122,11 +124,13 @@ def _pooled_factor(
     Gusts hide a tenth in each amplitude, but not in their weighted mean.
     """
     weight = np.where(error > 0.0, 1.0 / np.maximum(error, np.finfo(float).tiny), 0.0)
+    weight = np.where(np.abs(before * weight) ** 2 > LEAST_INFORMATION, weight, 0.0)
     b, a = before * weight, after * weight
     information = np.abs(b) ** 2
     total = np.maximum(information.sum(axis=1), np.finfo(float).tiny)
     factor = np.sum((b.conj() * a).real, axis=1) / total
-    departure = np.mean(np.abs(a - factor[:, None] * b) ** 2, axis=1) / 2.0
+    count = np.maximum(np.count_nonzero(weight, axis=1), 1)
+    departure = np.sum(np.abs(a - factor[:, None] * b) ** 2, axis=1) / (2.0 * count)
     shared_by = total**2 / np.maximum(np.sum(information**2, axis=1), np.finfo(float).tiny)
     size, sigma = np.abs(factor - 1.0), total**-0.5
     is_common = (size > LEAST_CHANGE) & (sigma < KNOWN_SHARE * size)

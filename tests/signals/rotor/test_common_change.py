@@ -46,6 +46,15 @@ def test_a_gain_among_gusts_is_found_from_all_amplitudes(factor: float) -> None:
         assert common_change(values) is None
 
 
+def test_noise_has_no_factor() -> None:
+    """Harmonics that are not there have means of noise before and after, with a factor of about zero."""
+    for seed in range(200):
+        values = amplitudes(seed)
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(size=(2, *values.shape))
+        assert common_change(noise[0] + 1j * noise[1]) is None
+
+
 def test_slow_gusts_are_no_common_gain() -> None:
     """Their windows are not independent, and means before and after differ by more than the scatter says."""
     for seed in range(50):
