@@ -57,7 +57,8 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     times = [group.channels[group.time] for group in first.groups if group.time is not None]
     time = times[0] if times else time_channel(first) or even_column(first)
     _require_signals(first, channels, time)
-    ignored = [time, *times, *empty_times(first)]
+    others = _of_other_length(first, time)
+    ignored = [time, *times, *empty_times(first), *others]
     rest = [channel for channel in channels if not any(channel is other for other in ignored)]
     tachometer = next((channel for channel in rest if _is_tachometer(channel)), None)
     rest = [channel for channel in rest if channel is not tachometer]
@@ -65,6 +66,7 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
     if any(_kind(file.path) != "static" for file in files):
         lines += _rate_lines(first, time)
+    lines += [f"# not as long as `{time.name}`: {', '.join(c.name for c in others)}"] if time and others else []
     lines += ["channels:", *_channel_lines(rest, geometry)]
     lines += (
         ["loads:", *_load_lines(loads)]
@@ -78,6 +80,13 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
 def _is_tachometer(channel: ForeignChannel) -> bool:
     """Whether a channel has the name of a tachometer, and is no speed in rpm or Hz."""
     return bool(TACHOMETER.search(channel.name)) and unit_of(channel.unit, FREQUENCY) is None
+
+
+def _of_other_length(file: ForeignFile, time: ForeignChannel | None) -> list[ForeignChannel]:
+    """Return the channels that the times of a file cannot belong to: spectra and correlations beside a record."""
+    lengths = [group.samples for group in file.groups if any(channel is time for channel in group.channels)]
+    groups = [group for group in file.groups if lengths and group.rate is None and group.time is None]
+    return [channel for group in groups if group.samples != lengths[0] for channel in group.channels]
 
 
 def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time: ForeignChannel | None) -> None:

@@ -1,7 +1,6 @@
 """Geometry files: sound ones survive reading and writing, and every fault is named by place and remedy."""
 
 import copy
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,9 @@ from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.io.errors import UserError
 from balance_cli.io.validation import dotted_place
 from tests.support.geometries import declarations
+from tests.support.measured_data import SHARED
 
 ROOT = Path(__file__).parents[2]
-SHARED = Path(os.environ.get("BALANCE_SHARED", ROOT.parent / "shared"))
 QUICK = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 JUNK = st.none() | st.booleans() | st.integers(-3, 3) | st.text(max_size=3) | st.just([]) | st.just({}) | st.just([[]])
 

@@ -1,7 +1,6 @@
 """A real mechanism with dry friction: the EMPS axis as a balance, at two time scales."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,10 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import IdentifyOptions, identified_effects, identify
+from tests.support.measured_data import SHARED
 from tests.support.tools import tool as load_tool
 
-FOLDER = Path(__file__).parents[3] / "shared" / "measured" / "emps"
+FOLDER = SHARED / "measured" / "emps"
 TRAIN, PULSES = FOLDER / "DATA_EMPS.mat", FOLDER / "DATA_EMPS_PULSES.mat"
 pytestmark = pytest.mark.skipif(not PULSES.exists(), reason="the measured data are elsewhere")
 

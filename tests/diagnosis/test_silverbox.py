@@ -25,9 +25,10 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import identified_effects, identify
+from tests.support.measured_data import SHARED
 
 PROJECT = Path(__file__).parents[2]
-CSV = PROJECT.parent / "shared" / "measured" / "silverbox" / "SNLS80mV.csv"
+CSV = SHARED / "measured" / "silverbox" / "SNLS80mV.csv"
 SHORT = 22000
 CLOSING = ("load-offset@Fz", "cubic-stiffness@z,beside")
 

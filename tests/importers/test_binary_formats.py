@@ -8,16 +8,19 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import wavfile
 
 from balance_cli.importers import open_foreign
 from balance_cli.io.errors import UserError
+from balance_cli.steps.import_sketch import sketch_map
+from tests.support.measured_data import SHARED
 
 X = np.random.default_rng(3).standard_normal((5000, 3))
 SCIPY_FILES = Path(scipy.io.__file__).parent / "matlab" / "tests" / "data"
-TDMS_FILES = Path("/work/shared/foreign/tdms")
+TDMS_FILES = SHARED / "foreign" / "tdms"
 
 
 def whole(group):
@@ -204,3 +207,12 @@ def test_a_text_of_another_kind_is_no_recording(tmp_path):
     (tmp_path / "picture").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
     with pytest.raises(UserError, match="no format that can be imported"):
         open_foreign(tmp_path / "picture")
+
+
+def test_a_sketch_leaves_out_what_is_not_as_long_as_the_times(tmp_path):
+    time = np.arange(64) / 100.0
+    spectra = {"freq": np.arange(33.0), "H": np.exp(1j * np.arange(33.0))}
+    scipy.io.savemat(tmp_path / "sweep.mat", {"time": time, "force": np.sin(time), "y": np.cos(time), **spectra})
+    sketch = sketch_map([open_foreign(tmp_path / "sweep.mat")], None)
+    assert list(yaml.safe_load(sketch)["channels"]) == ["force", "y"]
+    assert "# not as long as `time`: freq, H\n" in sketch

@@ -1,7 +1,5 @@
 """UFF 58 and 58b: files of other programs, and byte patterns that they write."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,8 +7,9 @@ from balance_cli.importers import open_foreign
 from balance_cli.importers.uff import _data_form
 from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
+from tests.support.measured_data import SHARED
 
-FOREIGN = Path("/work/shared/foreign/uff")
+FOREIGN = SHARED / "foreign" / "uff"
 foreign = pytest.mark.skipif(not FOREIGN.exists(), reason="files of other programs are not here")
 TIME_FILES = ("Sample_UFF58_ascii.uff", "Sample_UFF58b_bin.uff", "binary8byte.uff", "mpstd_set001.uff")
 
