@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
 from balance_cli.diagnosis.result import Diagnosis
+from balance_cli.diagnosis.significance import DATA_TEST_LEVEL
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
+from balance_cli.io.percent import percent_text
 
 if TYPE_CHECKING:
     from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors, Trial
@@ -101,6 +103,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> Iterator[str]:
     for effect in diagnosis.effects:
         yield from _effect_text(effect)
     if diagnosis.location:
+        yield from _shown_by_data_text(diagnosis)
         yield from _removed_text(diagnosis)
     yield from _hold_out_text(diagnosis.hold_out)
     if diagnosis.untestable_effects:
@@ -131,6 +134,16 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
         yield f"   cannot be distinguished from {', '.join(effect.indistinguishable_from)}"
         if effect.separated_by:
             yield f"   measurement that would separate them: {effect.separated_by}"
+
+
+def _shown_by_data_text(diagnosis: Diagnosis) -> Iterator[str]:
+    """What the data show without a model, the clearest of each kind: it narrows down what an effect must explain."""
+    clear = [test for test in diagnosis.data_tests if test.p_value < DATA_TEST_LEVEL]
+    clear.sort(key=lambda test: -test.chi2 / max(test.dof, 1.0))
+    for name in dict.fromkeys(test.name for test in clear):
+        first, *others = [test for test in clear if test.name == name]
+        more = f" ({len(others)} more)" if others else ""
+        yield f"Shown without a model: {name}, {first.place}: {first.finding}{more}"
 
 
 def _removed_text(diagnosis: Diagnosis) -> Iterator[str]:
@@ -175,4 +188,4 @@ def _component_text(errors: RunErrors, component: str) -> str:
 
 
 def _percent(ratio: float) -> str:
-    return f"{100 * ratio:.3g}" if math.isfinite(ratio) else "-"
+    return percent_text(ratio, 3) if math.isfinite(ratio) else "-"

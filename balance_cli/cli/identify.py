@@ -13,6 +13,7 @@ from balance_cli.cli.model_summary import declared_summary, effect_summary, mode
 from balance_cli.cli.options import InputFile, band_option, geometry_option, output_option, skip_bad_option
 from balance_cli.estimation.choices import DAMPING_FORMS, FORMS, METHODS, Damping, Form, Method
 from balance_cli.io.formats import MODEL_FORMAT
+from balance_cli.io.percent import percent_text
 
 if TYPE_CHECKING:
     from balance_cli.estimation.identified_model import IdentifiedModel, RunFit
@@ -134,7 +135,7 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
         yield "NOT CONVERGED: the result is preliminary"
     if quality.runs:
         yield f"chi2/dof {quality.chi2_per_dof:.4g} against the measured noise"
-        yield f"error of all responses {100 * quality.frf_error:.3g} %"
+        yield f"error of all responses {percent_text(quality.frf_error, 3)} %"
     if model.misfit_scale > MIN_MISFIT_SCALE:
         yield "The model does not describe these data: the uncertainties below are underestimated"
     for departure in declared_agreement(model).departures:

@@ -31,6 +31,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.io.percent import percent_text
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.effects.places import channels_at
 from balance_cli.model.effects.search_hints import CommonAlternative
@@ -147,8 +148,9 @@ def is_described(errors: HoldOut, settings: SearchSettings) -> bool:
 def _describe_misfit(name: str, errors: HoldOut) -> str:
     error, noise = errors.after.frf_error, errors.noise.frf_error
     return (
-        f"{name} is not described, although the fitted runs are: its response is off by {100 * error:.3g} %, by noise "
-        f"alone {100 * noise:.2g} %. Find what acts in it and not in the fitted runs: a turning rotor, another set-up"
+        f"{name} is not described, although the fitted runs are: its response is off by {percent_text(error, 3)} %, "
+        f"by noise alone {percent_text(noise)} %. Find what acts in it and not in the fitted runs: a turning rotor, "
+        "another set-up"
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.percent import percent_text
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
@@ -46,7 +47,7 @@ class PairContradiction:
         """The contradiction in words."""
         at = ", ".join(f"{n}/rev" for n in self.harmonics[:4]) + (" and more" if len(self.harmonics) > 4 else "")
         return (
-            f"{self.first} and {self.second} read one cell and differ by {100 * self.difference:.2g} % of what the "
+            f"{self.first} and {self.second} read one cell and differ by {percent_text(self.difference)} % of what the "
             f"response says at {at}: gain, sign, delay or filter of one changed after the sweeps"
         )
 

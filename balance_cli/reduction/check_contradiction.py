@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.io.percent import percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, join_flags
 from balance_cli.reduction.result import RunLoads
@@ -45,9 +46,9 @@ class CheckContradiction:
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        parts = [f"{name} by {100.0 * error:.3g} %" for name, error in self.components.items()]
+        parts = [f"{name} by {percent_text(error, 3)} %" for name, error in self.components.items()]
         none_applied = "of the largest applied force, where none was applied"
-        parts += [f"{name} by {100.0 * size:.3g} % {none_applied}" for name, size in self.interactions.items()]
+        parts += [f"{name} by {percent_text(size, 3)} % {none_applied}" for name, size in self.interactions.items()]
         errors = ", ".join(parts)
         cause = self.wrong_channels or "the response lacks something there"
         return f"reduced loads differ from the known loads of {self.run}, {errors}: {cause}"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.load_method import MATRIX
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.percent import percent_text
 from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.reduction.flags import FLAGS, SEPARATOR
 from balance_cli.reduction.kalman.innovations import InnovationTests
@@ -157,7 +158,7 @@ class RunLoads(ResultView):
         of_rotor = "" if self.rotor is None else f" (rotor {self.rotor})"
         yield f"  {' '.join(self.components)}, harmonics 0 to {last} of {self.frequency_hz[1]:.4g} Hz{of_rotor}"
         if self.check is not None:
-            errors = ", ".join(f"{name} {100 * error:.2g} %" for name, error in self.check.load_error.items())
+            errors = ", ".join(f"{name} {percent_text(error)} %" for name, error in self.check.load_error.items())
             yield f"  error over harmonics 1 to 8: {errors}"
         if self.left_out:
             yield f"  channels left out: {', '.join(self.left_out)}"

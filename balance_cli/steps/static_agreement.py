@@ -19,6 +19,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.diagnosis.consistency.findings import FAULT, STATIC_RESPONSE, WARNING, ConsistencyFinding
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, VOLT_UNITS, suggest_units
+from balance_cli.io.percent import percent_text
 from balance_cli.model.balance import balance_model
 from balance_cli.reduction.measured_response import TransferSource
 from balance_cli.reduction.response_sources import ResponseSource
@@ -225,8 +226,8 @@ def _describe(comparison: StaticComparison, differing: Mask) -> str:
     more = f", and {others} more of its elements" if others else ""
     label = f"trim `{comparison.trim.trim}`: " if comparison.trim.trim else ""
     return (
-        f"{label}calibration and response at rest differ by {100 * share[i, j]:.3g} % of the range of `{channel}` "
-        f"under {component}{by}{more}"
+        f"{label}calibration and response at rest differ by {percent_text(share[i, j], 3)} % of the range of "
+        f"`{channel}` under {component}{by}{more}"
     )
 
 

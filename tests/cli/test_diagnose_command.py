@@ -20,6 +20,7 @@ from balance_cli.diagnosis.result import (
     PARTLY_EXPLAINED,
     UNEXPLAINED,
     Diagnosis,
+    ModelFreeTest,
 )
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
@@ -234,7 +235,7 @@ def test_the_text_has_verdict_effects_evidence_and_errors():
     (heads,) = (line.split() for line in lines if line.startswith("   check-1"))
     assert heads == ["check-1", "Fx", "Fz", "My", "Mz", "response"]
     (before, _) = (line.split() for line in lines if line.startswith("      before"))
-    assert before == ["before", "(755)", "5.46", "1.27e+03", "(0.62)", "10.1"]
+    assert before == ["before", "(755)", "5.46", "1270", "(0.62)", "10.1"]
 
 
 def test_what_was_found_and_not_kept_stands_beside_a_residual():
@@ -246,6 +247,18 @@ def test_what_was_found_and_not_kept_stands_beside_a_residual():
     line = "Found and not kept: load-offset@Fz, free-play@z2: what no effect explains is larger"
     assert line in list(diagnosis_text(left))
     assert line not in list(diagnosis_text(replace(left, location="")))
+
+
+def test_what_the_data_show_without_a_model_stands_beside_a_residual():
+    tests = [
+        ModelFreeTest("low against high level", "a, b", 90.0, 30, 1e-9, "differ by 3 %"),
+        ModelFreeTest("low against high level", "c, d", 900.0, 30, 0.0, "differ by 30 %"),
+        ModelFreeTest("mains", "50 Hz and multiples", 3.0, 4, 0.5, "nothing"),
+    ]
+    left = diagnosis(data_tests=tuple(tests), location="z3 at 118 Hz in My")
+    shown = [line for line in diagnosis_text(left) if line.startswith("Shown without a model")]
+    assert shown == ["Shown without a model: low against high level, c, d: differ by 30 % (1 more)"]
+    assert not any("without a model" in line for line in diagnosis_text(replace(left, location="")))
 
 
 def test_a_bar_is_drawn_where_stderr_is_a_terminal(monkeypatch, capsys):

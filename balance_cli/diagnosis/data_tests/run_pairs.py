@@ -30,6 +30,7 @@ from balance_cli.diagnosis.significance import (
     is_invertible,
     noise_factor,
 )
+from balance_cli.io.percent import percent_text
 from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.signals.run_spectrum import RunSpectrum
 
@@ -251,7 +252,7 @@ def _describe_location(change: _Change, band: Index) -> str:
     channel = change.channels[int(np.argmax(per_channel.sum(axis=0)))]
     size = np.linalg.norm(change.change[band]) / np.linalg.norm(change.response[band])
     low, high = change.frequency[band[0]], change.frequency[band[-1]]
-    return f"differ most from {low:.4g} to {high:.4g} Hz, by {100 * size:.2g} %, in {channel}"
+    return f"differ most from {low:.4g} to {high:.4g} Hz, by {percent_text(float(size))} %, in {channel}"
 
 
 def _describe_mode_change(
@@ -262,7 +263,7 @@ def _describe_mode_change(
     parts = []
     if abs(change.real) > max(half, settings.minor_share * abs(change.imag)):
         sense = "higher" if change.real > 0 else "lower"
-        parts.append(f"frequencies about {100 * abs(change.real):.2g} % {sense}")
+        parts.append(f"frequencies about {percent_text(abs(change.real))} % {sense}")
     if abs(change.imag) > max(half, settings.minor_share * abs(change.real)):
         sense = "larger" if change.imag > 0 else "smaller"
         parts.append(f"damping ratios about {abs(change.imag):.2g} {sense}")

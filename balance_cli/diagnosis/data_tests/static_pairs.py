@@ -22,6 +22,7 @@ from balance_cli.diagnosis.data_test_settings import DataTestSettings, StaticPai
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
 from balance_cli.diagnosis.result import ModelFreeTest
 from balance_cli.diagnosis.significance import combined_dof, format_with_sigma, hotelling_p_value
+from balance_cli.io.percent import percent_text
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
@@ -213,4 +214,4 @@ def _finding(names: Sequence[str], parts: Sequence[tuple[Array, Array]], covaria
     worst = int(np.argmax(np.abs(static - dynamic) / sigma))
     relative_difference = float(np.linalg.norm(static - dynamic) / np.linalg.norm(static))
     change = format_with_sigma(static[worst] - dynamic[worst], sigma[worst])
-    return f"differs by {100 * relative_difference:.2g} %; most in {names[worst]}: {change} of {static[worst]:.4g}"
+    return f"differs by {percent_text(relative_difference)} %; most in {names[worst]}: {change} of {static[worst]:.4g}"

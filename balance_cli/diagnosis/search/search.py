@@ -21,6 +21,7 @@ from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.whole_fits import add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.io.percent import percent_text
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -83,7 +84,7 @@ def _add_effects(
         state = result.state
         if state.error < limits.small_error:
             break
-        if announce(f"search, round {number}: model error {100 * state.error:.2g} %"):
+        if announce(f"search, round {number}: model error {percent_text(state.error)} %"):
             break
         added = search_round(state, lines, number, candidates(state.geometry, excluded=settings.excluded), settings)
         result = result.add(added.state or state, added.trials, added.alternatives)
