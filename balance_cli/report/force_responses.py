@@ -164,7 +164,8 @@ def measured_curve(response: FrequencyResponse, sensor: Sensor, component: str, 
 class ModelResponse:
     """Responses of a model at `frequency` (k,) [Hz]: volts of each channel and force of each sensor, (k, 6) each.
 
-    A model of the paper's form has no channels, and its own sensors only.
+    A model of the paper's form has no channels, and its own sensors only; other models lack the sensors of channels
+    that their geometry does not have.
     """
 
     frequency: Array
@@ -175,7 +176,12 @@ class ModelResponse:
 def model_response(
     model: IdentifiedModel, frequency: Array, spin: float, shown_sensors: Sequence[Sensor], geometry: Geometry
 ) -> ModelResponse:
-    """All responses of a model of either form."""
+    """All responses of a model of either form, to compare with those measured on a rig of this geometry.
+
+    There are none where the model is of another rig: equal names do not mean equal cells.
+    """
+    if model.geometry.rig != geometry.rig:
+        return ModelResponse(frequency, {}, {})
     if model.paper is not None:
         value = np.zeros((len(frequency), len(model.paper.rule.names), 6), complex)
         value[:, :, [COMPONENTS.index(name) for name in model.paper.inputs]] = paper_response(model.paper, frequency)
@@ -185,6 +191,8 @@ def model_response(
     channels = {name: T[:, i] for i, name in enumerate(system.channel_names)}
     forces = {}
     for sensor in shown_sensors:
+        if not set(sensor.channels) <= set(channels):
+            continue
         weights = sensor.weights(geometry, frequency)
         forces[sensor.name] = sum(
             (weights[:, i, None] * channels[name] for i, name in enumerate(sensor.channels)), np.zeros_like(T[:, 0])

@@ -225,7 +225,8 @@ def error_table(compared: Sequence[Comparison]) -> Table:
     caption = (
         f"Relative error of the responses of all cells together, % (rms of model minus measurement over rms of "
         f"measurement, {band_text(compared[0].error_band)}), and the noise of the measurement. "
-        "The paper's form is compared at its own sensors. Shaded: within 1.5 times the noise."
+        "The paper's form is compared at its own sensors, a model of another geometry at those it has. "
+        "Shaded: within 1.5 times the noise."
     )
     return Table(caption, (head,), tuple(rows))
 
@@ -252,7 +253,8 @@ def sensor_errors(comparison: Comparison) -> tuple[float, list[float]]:
     )
     errors = []
     for source, predictions in comparison.models:
-        known = [name for name in (predictions.sensors if source.content.paper else single) if name in measured]
+        candidates = measured if source.content.paper else single
+        known = [name for name in candidates if name in predictions.sensors]
         model = np.array([predictions.sensors[name][band, column] for name in known])
         error = relative_error(model, np.array([measured[name].value[band] for name in known]))
         errors.append(error if model.any() else float("nan"))
@@ -263,8 +265,8 @@ def channel_table(compared: Sequence[Comparison]) -> Table:
     """Channels down, components across, for each model that has channels; the noise in small print."""
     names = list(dict.fromkeys(name for comparison in compared for name in comparison.measured.channel_names))
     rows: list[Row] = []
-    for m, (source, predictions) in enumerate(compared[0].models):
-        if predictions.channels:
+    for m, (source, _) in enumerate(compared[0].models):
+        if any(comparison.models[m][1].channels for comparison in compared):
             rows.append(group_heading_row(source.label, 1 + len(compared)))
             for name in names:
                 rows.append(

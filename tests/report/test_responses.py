@@ -80,6 +80,23 @@ def test_the_true_model_is_off_by_nothing_and_a_scaled_one_by_its_scale():
     assert relative_error(1.1 * value, value) == pytest.approx(0.1)
 
 
+def test_a_model_of_another_rig_or_without_a_channel_is_compared_where_it_can_be():
+    """Both ended in an internal error; nothing of another rig is compared, whatever its cells are called."""
+    fewer = RIG.model_copy(update={"channels": tuple(c for c in RIG.channels if c.cell != "x")})
+    elsewhere = RIG.model_copy(update={"rig": "another"})
+    models = [(Path(f"{name}.h5"), artefact("balance-model/1", replace(model(), geometry=geometry), 64 * name))
+              for name, geometry in (("1", fewer), ("2", elsewhere))]  # fmt: skip
+    transfers = [(Path("tf.h5"), artefact("balance-transfer/1", transfer(), "b" * 64))]
+    sources = group_sources([*transfers, *models])
+    comparison = comparisons(sources)[0]
+    responses = {source.file: predictions for source, predictions in comparison.models}
+    assert set(responses["1.h5"].sensors) == {sensor.name for sensor in comparison.shown_sensors} - {"x"}
+    assert responses["2.h5"].sensors == responses["2.h5"].channels == {}
+    _, (without_x, another) = sensor_errors(comparison)
+    assert without_x < 1e-9 and np.isnan(another)
+    assert section(sources) is not None
+
+
 def test_the_band_of_errors_is_that_of_the_excited_lines_where_modes_lie_beyond_the_usual_one():
     response = replace(measured("Fx", 20.0), frequency=np.linspace(30.0, 5000.0, 20))
     assert error_band([response], RIG) == (5.0, 150.0)
