@@ -25,6 +25,8 @@ EXIT_CLOSED_PIPE = 141
 """Exit statuses; shells report 130 for a process that was interrupted from the keyboard, and 141 for one whose output
 nobody reads any more (`| head`)."""
 
+FORMER_NAMES = "balance_cli.former_names"
+"""Key of a click context: {name of an option: former name by which it was given}."""
 SYSTEM_ERRORS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENAMETOOLONG}
 SYSTEM_ERRORS |= {errno.EIO, errno.ENODEV, errno.ESTALE, errno.EMFILE, errno.ENFILE}
 """Errors of the operating system that no program can avoid: disk full, read-only, limits, a device that fails."""
@@ -74,9 +76,13 @@ class _ErrorReportingCommand(click.Command):
             return super().make_context(*arguments, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the function of the command, as click does."""
+        """Run the function of the command, as click does; an error names an option as it was typed."""
         with _broken_pipes_kept():
-            return super().invoke(ctx)
+            try:
+                return super().invoke(ctx)
+            except UserError as error:
+                error.file = ctx.meta.get(FORMER_NAMES, {}).get(error.file, error.file)
+                raise
 
 
 class BalanceCommand(_ErrorReportingCommand):

@@ -23,9 +23,11 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.formats import (
     ARTEFACT_FORMATS,
     GEOMETRY_FORMAT,
+    HALL_FORMAT,
     HISTORY_FORMAT,
     IMPORT_FORMAT,
     MATRIX_FORMAT,
+    PLAN_FORMAT,
     RUN_FORMAT,
 )
 from balance_cli.io.result_view import plural
@@ -80,6 +82,7 @@ def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
         **dict.fromkeys(ARTEFACT_FORMATS, _check_artefact_file),
         IMPORT_FORMAT: _check_import_map,
         HISTORY_FORMAT: _check_history_file,
+        **dict.fromkeys((HALL_FORMAT, PLAN_FORMAT), _check_planning_file),
     }
     if declared in readers:
         return readers[declared](path, geometry)
@@ -257,6 +260,16 @@ def _check_import_map(path: Path, geometry: Geometry | None) -> FileFinding:
         if geometry is not None and name not in known
     ]
     return FileFinding(IMPORT_FORMAT, about, rig=mapping.rig, faults=tuple(faults))
+
+
+def _check_planning_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    from balance_cli.planning.stored_forecast import describe_plan_or_hall
+
+    kind = str(sniff_format(path))
+    try:
+        return FileFinding(kind, describe_plan_or_hall(path))
+    except UserError as error:
+        return FileFinding(kind, "plan" if kind == PLAN_FORMAT else "test hall", faults=(error,))
 
 
 def _check_matrix_file(path: Path, geometry: Geometry | None) -> FileFinding:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
+from balance_cli.cli.errors import FORMER_NAMES
 from balance_cli.cli.labels import echo_message
 from balance_cli.io.atomic import check_output, check_output_folder
 from balance_cli.io.errors import UserError
@@ -155,6 +156,7 @@ def deprecated_option(former: str, current: str, parameter: str, **attributes: A
         if context.get_parameter_source(option.name or "") is not click.core.ParameterSource.COMMANDLINE:
             return
         echo_message("warning", f"{former} is deprecated; use {current}")
+        context.meta.setdefault(FORMER_NAMES, {})[current] = former
         context.params[parameter] = value
         context.set_parameter_source(parameter, click.core.ParameterSource.COMMANDLINE)
 

@@ -27,7 +27,6 @@ from balance_cli.simulation.plans import (
     Phases,
 )
 
-HALL_FORMAT = "balance-hall/1"
 COMPONENT_NAMES: tuple[Component, ...] = get_args(Component)
 
 MOST_PERIODS = 1000

@@ -7,10 +7,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import HALL_FORMAT
 from balance_cli.io.sniff import describe_file, require_file, sniff_format
 from balance_cli.io.validation import validation_faults
 from balance_cli.io.yaml_file import read_yaml
-from balance_cli.planning.hall import HALL_FORMAT, Hall
+from balance_cli.planning.hall import Hall
 
 
 def load_hall(path: Path) -> Hall:

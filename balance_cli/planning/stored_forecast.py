@@ -11,7 +11,9 @@ from pydantic import ValidationError
 
 from balance_cli.campaign.rig.declared_values import FrozenModel
 from balance_cli.io.errors import UserError
-from balance_cli.io.formats import PLAN_FORMAT
+from balance_cli.io.formats import HALL_FORMAT, PLAN_FORMAT
+from balance_cli.io.result_view import plural
+from balance_cli.io.sniff import sniff_format
 
 if TYPE_CHECKING:  # a page without a plan does without the simulation
     from balance_cli.simulation.plans import CampaignPlan
@@ -121,6 +123,20 @@ def read_stored_plan(path: Path) -> StoredPlan:
     if plan.format != PLAN_FORMAT or plan.forecast is None:
         raise UserError("holds no forecast", str(path), "forecast", "Give a plan that `balance plan -o` has written")
     return StoredPlan(path.name, plan, _forecast(plan.forecast, path))
+
+
+def describe_plan_or_hall(path: Path) -> str:
+    """What a plan or the file of a hall holds, in some words. Raises UserError for the first fault of the file."""
+    from balance_cli.planning.hall_file import load_hall
+    from balance_cli.simulation.files import read_plan
+
+    if sniff_format(path) == HALL_FORMAT:
+        exciters = load_hall(path).exciters
+        return f"test hall with {'exciters of any force' if exciters is None else plural(len(exciters), 'exciter')}"
+    plan = read_plan(path)
+    if plan.forecast is None:
+        return f"plan of {plural(len(plan.runs), 'run')}"
+    return f"plan of {plural(len(plan.runs), 'run')}, {read_stored_plan(path).forecast.minutes:.0f} minutes"
 
 
 def _forecast(declared: Mapping[str, Any], path: Path) -> StoredForecast:

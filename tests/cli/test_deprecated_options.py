@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 import pytest
 from click.testing import CliRunner
@@ -41,6 +43,17 @@ def test_the_former_name_sets_the_same_parameter(words, output):
 def test_the_former_name_refuses_what_the_current_one_refuses():
     result = CliRunner().invoke(call, ["--sort", "c"])
     assert result.exit_code == 2 and "'c' is not one of 'a', 'b'" in result.stderr
+
+
+def test_an_error_names_the_option_that_was_typed():
+    """Who types `--loads-as` looks for it in the message."""
+    folder = Path(__file__).parents[1] / "io"
+    known = ("--calibration", f"{folder}/old_artefacts/calibration-0.2.h5")
+    model = ("--model", f"{folder}/old_artefacts/model-0.2.h5")
+    words = ["reduce", *known, *model, f"{folder}/old_files/check.h5", "-o", "loads.csv"]
+    for option in ("--loads-as", "--load-model"):
+        said = CliRunner().invoke(balance, [*words, option, "free"]).stderr
+        assert f"balance: error: {option}: a load model applies to filters and smoothers only" in said
 
 
 @pytest.mark.parametrize(("command", "former"), RENAMED)
