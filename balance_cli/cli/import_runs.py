@@ -13,7 +13,6 @@ from balance_cli.cli.options import InputFile, OutputFolder
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.campaign.recording.import_map import ImportMap
     from balance_cli.campaign.recording.import_map_file import DeclaredRun
     from balance_cli.steps.import_runs import ImportedRun
 
@@ -53,14 +52,14 @@ def command(
     runs = declared_runs(mapping, files[1:], str(files[0]))
     summaries, text = {}, []
     for declared in session.progress(runs, "runs"):
-        imported = _import(declared, mapping, str(files[0]))
+        imported = _import(declared, str(files[0]))
         imported = _write(session, output, imported)
         summaries[declared.name] = _summary(imported)
         text += _lines(imported)
     session.finish({"map": str(files[0]), "rig": mapping.rig, "runs": summaries}, text)
 
 
-def _import(declared: DeclaredRun, mapping: ImportMap, map_file: str) -> ImportedRun:
+def _import(declared: DeclaredRun, map_file: str) -> ImportedRun:
     """The run of its files, checked as any run file is."""
     from balance_cli.campaign.recording.run_checks import run_file_faults
     from balance_cli.campaign.recording.run_file import contents_of_run
@@ -68,8 +67,8 @@ def _import(declared: DeclaredRun, mapping: ImportMap, map_file: str) -> Importe
     from balance_cli.importers.base import TextLayout
     from balance_cli.steps.import_runs import import_run
 
-    layout = TextLayout(**mapping.text.model_dump())
-    imported = import_run(declared, mapping, [open_foreign(path, layout) for path in declared.files])
+    layout = TextLayout(**declared.mapping.text.model_dump())
+    imported = import_run(declared, [open_foreign(path, layout) for path in declared.files])
     for fault in run_file_faults(contents_of_run(imported.run)):
         remedy = f"{fault.remedy} (entry {declared.place})"
         raise UserError(f"run `{declared.name}`: {fault.fault}", map_file, fault.place, remedy)

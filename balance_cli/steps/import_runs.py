@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.additions import FORCE, TEMPERATURE, RunAdditions
+from balance_cli.campaign.recording.dataset_checks import KINDS_WITH_LOADS
 from balance_cli.campaign.recording.import_map import ImportMap
 from balance_cli.campaign.recording.import_map_file import DeclaredRun
 from balance_cli.campaign.recording.run import Run
@@ -31,7 +32,6 @@ from balance_cli.steps.import_timeline import Clock, Timeline, common_timeline, 
 
 Array = NDArray[np.float64]
 
-KINDS_WITH_LOADS = ("static", "sweep", "check")
 KINDS_WITH_ROTOR = ("check", "wind")
 BLOCK = 65536
 """Samples that are held at once: 16 MB with 32 signals."""
@@ -52,23 +52,23 @@ class ImportedRun:
     start: float | None
 
 
-def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[ForeignFile]) -> ImportedRun:
+def import_run(declared: DeclaredRun, files: Sequence[ForeignFile]) -> ImportedRun:
     """Make the run that these files and the map declare.
 
     Raises UserError where a channel of the map is absent or unusable, a unit is missing or of the wrong dimension, time
     or rotor reference cannot be determined, or the settings of the run do not fit its kind.
     """
-    entry, finder = declared.entry, ChannelFinder(files, mapping)
+    entry, mapping = declared.entry, declared.mapping
+    finder = ChannelFinder(files, mapping)
     channels = mapped_signals(finder, mapping.channels)
     has_loads = entry.kind in KINDS_WITH_LOADS
-    loads = mapped_signals(finder, mapping.loads) if has_loads else []
+    loads, load_notes = _load_signals(finder, declared) if has_loads else ([], [])
     others = addition_signals(finder, mapping, has_loads)
     supplies = excitation_signals(finder, mapping.channels)
-    signals = [*channels, *loads, *supplies.signals]
     measuring = [*channels, *loads, *others.get(FORCE, ())]
     slow = [*supplies.signals, *others.get(TEMPERATURE, ())]
     timeline, notes = _timeline(finder, measuring, slow, mapping) if entry.kind != "static" else (None, [])
-    matrix = _matrix(finder, signals, timeline)
+    matrix = _matrix(finder, [*channels, *loads, *supplies.signals], timeline)
     matrices = {name: _matrix(finder, group, timeline) for name, group in others.items()}
     _check_rows(matrix, matrices)
     load_columns = tuple(COMPONENTS.index(signal.target) for signal in loads) if loads else None
@@ -95,8 +95,18 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         reading_units={each.target: each.reading_unit for each in channels if each.reading_unit != VOLTAGE},
         **(point_labels(finder, mapping) if entry.kind == "static" else {}),
     )
-    notes = [*_file_notes(files, finder, mapping, [*measuring, *slow], has_loads), *notes, *supplies.notes]
+    notes = [*_file_notes(files, finder, mapping, [*measuring, *slow], has_loads), *notes, *supplies.notes, *load_notes]
     return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
+
+
+def _load_signals(finder: ChannelFinder, declared: DeclaredRun) -> tuple[list[Signal], list[str]]:
+    """The hub loads of a run; of a sweep those that its files have or that were excited, and a note on the others."""
+    loads, excited = declared.mapping.loads, declared.entry.excited
+    if declared.entry.kind != "sweep":
+        return mapped_signals(finder, loads), []
+    silent = [name for name, load in loads.items() if load.component not in excited and not finder.has(name)]
+    notes = [f"not recorded, and declared to be zero: {', '.join(silent)}"] if silent else []
+    return mapped_signals(finder, {name: load for name, load in loads.items() if name not in silent}), notes
 
 
 def _file_notes(

@@ -90,12 +90,13 @@ class ChannelFinder:
         Raises UserError, with the nearest one, where there is none or it is unusable.
         """
         key = " ".join(name.split())
-        channel = self._channels.get(key) or self._find_in_file(key)
+        channel = self._named(name)
         file = str(self.files[0].path)
         if channel is None:
             near = difflib.get_close_matches(key, self._channels, n=1, cutoff=0.0)
             count = len(self._channels)
             remedy = f"The nearest of its {count} channels is `{near[0]}`" if near else "It has no channels"
+            remedy += f"; `{name}: null` in the entry of `runs` leaves it out"
             raise UserError(f"has no channel `{name}`, which the map names", file, remedy=remedy)
         if channel.group.unusable:
             fault = f"is {channel.group.unusable}"
@@ -105,6 +106,14 @@ class ChannelFinder:
             remedy = "Export the samples in time, or rename the channel in the file if it is one"
             raise UserError(fault, str(channel.file.path), f"channel `{name}`", remedy)
         return channel
+
+    def has(self, name: str) -> bool:
+        """Whether the files have a channel of this name, as `find` takes it."""
+        return self._named(name) is not None
+
+    def _named(self, name: str) -> FoundChannel | None:
+        key = " ".join(name.split())
+        return self._channels.get(key) or self._find_in_file(key)
 
     def _find_in_file(self, key: str) -> FoundChannel | None:
         pattern, _, name = key.partition("/")

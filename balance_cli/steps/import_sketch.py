@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from balance_cli.campaign.recording.dataset_checks import KINDS_WITH_LOADS
 from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -17,6 +18,7 @@ from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
 from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT, TIME
+from balance_cli.steps.sketched_differences import Entries, difference_lines
 from balance_cli.steps.sketched_times import empty_times, even_column, time_axis, time_channel, unit_of
 
 FASTEST_GUESS = 2e6
@@ -52,7 +54,7 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
 
 
 def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
-    first = files[0]
+    first = max(files, key=lambda file: sum(len(group.channels) for group in file.groups if not group.unusable))
     channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
     times = [group.channels[group.time] for group in first.groups if group.time is not None]
     time = times[0] if times else time_channel(first) or even_column(first)
@@ -67,14 +69,26 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     if any(_kind(file.path) != "static" for file in files):
         lines += _rate_lines(first, time)
     lines += [f"# not as long as `{time.name}`: {', '.join(c.name for c in others)}"] if time and others else []
-    lines += ["channels:", *_channel_lines(rest, geometry)]
+    mapped, free = _guess_channels(rest, geometry)
+    lines += ["channels:", *(_channel_line(*entry) for entry in mapped.values())]
+    lines += [f"  # channels of the geometry that were not found: {', '.join(free)}"] if free else []
     lines += (
-        ["loads:", *_load_lines(loads)]
+        ["loads:", *(_load_line(*entry) for entry in loads.values())]
         if loads
         else ["# loads:", "#   FILE CHANNEL: {component: Fz, unit: N, sign: 1}"]
     )
-    lines += _rotor_lines(tachometer, geometry)
-    return "\n".join([*lines, "runs:", *_run_lines(files, geometry)]) + "\n"
+    lines += [*_rotor_lines(tachometer, geometry), "runs:"]
+    for file in files:
+        lines += [*_run_lines(file, geometry), *difference_lines(file, "channels", mapped, _channel_line)]
+        if _kind(file.path) in (None, *KINDS_WITH_LOADS):
+            lines += difference_lines(file, "loads", _needed_loads(file, loads), _load_line)
+    return "\n".join(lines) + "\n"
+
+
+def _needed_loads(file: ForeignFile, loads: Entries) -> Entries:
+    """The loads that a file must have: of a sweep those that its name says are excited, where it says so."""
+    excited = _excited(file.path) if _kind(file.path) == "sweep" else UNFINISHED
+    return {name: entry for name, entry in loads.items() if excited in (UNFINISHED, entry[1])}
 
 
 def _is_tachometer(channel: ForeignChannel) -> bool:
@@ -163,20 +177,27 @@ def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
         yield f"# TODO: the head states {stated:.10g} Hz, these times are of {rate:.10g} Hz"
 
 
-def _channel_lines(channels: Sequence[ForeignChannel], geometry: Geometry | None) -> Iterator[str]:
+def _guess_channels(
+    channels: Sequence[ForeignChannel], geometry: Geometry | None
+) -> tuple[dict[str, tuple[ForeignChannel, str]], list[str]]:
+    """The channels with the names that they seem to have in the geometry, and those of its names that are left."""
     free = list(geometry.channel_names) if geometry is not None else []
+    mapped: dict[str, tuple[ForeignChannel, str]] = {}
     for channel in channels:
         match = _nearest(channel.name, free)
         if match:
             free.remove(match)
-        is_voltage = not channel.unit or bool(unit_of(channel.unit, "V"))
-        entry = [f"name: {_quoted(match or ('TODO' if geometry is not None else channel.name))}"]
-        entry += [f"unit: {_quoted(channel.unit or UNFINISHED)}"] + ([] if is_voltage else ["scale: TODO"])
-        comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
-        comment = comment if is_voltage else "  # volts for one unit, or remove it"
-        yield f"  {_quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
-    if free:
-        yield f"  # channels of the geometry that were not found: {', '.join(free)}"
+        mapped.setdefault(channel.name, (channel, match or (UNFINISHED if geometry is not None else channel.name)))
+    return mapped, free
+
+
+def _channel_line(channel: ForeignChannel, target: str) -> str:
+    is_voltage = not channel.unit or bool(unit_of(channel.unit, "V"))
+    entry = [f"name: {_quoted(target)}", f"unit: {_quoted(channel.unit or UNFINISHED)}"]
+    entry += [] if is_voltage else ["scale: TODO"]
+    comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
+    comment = comment if is_voltage else "  # volts for one unit, or remove it"
+    return f"  {_quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
 
 
 def _nearest(name: str, names: Sequence[str]) -> str | None:
@@ -185,26 +206,27 @@ def _nearest(name: str, names: Sequence[str]) -> str | None:
     return plain[match[0]] if match else None
 
 
-def _guess_loads(channels: Sequence[ForeignChannel]) -> tuple[list[tuple[ForeignChannel, str]], list[ForeignChannel]]:
+def _guess_loads(
+    channels: Sequence[ForeignChannel],
+) -> tuple[dict[str, tuple[ForeignChannel, str]], list[ForeignChannel]]:
     """Channels whose name contains a component and whose unit is not another; and the others."""
-    loads: list[tuple[ForeignChannel, str]] = []
+    loads: dict[str, tuple[ForeignChannel, str]] = {}
     rest = []
     for channel in channels:
         words = re.split(r"[^A-Za-z]+", channel.name)
         component = next((name for name in COMPONENTS if name.lower() in [word.lower() for word in words]), None)
         unit = unit_of(channel.unit, FORCE, MOMENT)
-        if component and (unit or not channel.unit) and component not in [name for _, name in loads]:
-            loads.append((channel, component))
+        if component and (unit or not channel.unit) and component not in [name for _, name in loads.values()]:
+            loads[channel.name] = (channel, component)
         else:
             rest.append(channel)
     return loads, rest
 
 
-def _load_lines(loads: Sequence[tuple[ForeignChannel, str]]) -> Iterator[str]:
-    for channel, component in loads:
-        unit = channel.unit or ("N" if component.startswith("F") else "N m")
-        comment = "  # TODO: check the sign" if channel.unit else "  # TODO: check unit and sign"
-        yield f"  {_quoted(channel.name)}: {{component: {component}, unit: {_quoted(unit)}, sign: 1}}{comment}"
+def _load_line(channel: ForeignChannel, component: str) -> str:
+    unit = channel.unit or ("N" if component.startswith("F") else "N m")
+    comment = "  # TODO: check the sign" if channel.unit else "  # TODO: check unit and sign"
+    return f"  {_quoted(channel.name)}: {{component: {component}, unit: {_quoted(unit)}, sign: 1}}{comment}"
 
 
 def _rotor_lines(tachometer: ForeignChannel | None, geometry: Geometry | None) -> Iterator[str]:
@@ -231,22 +253,25 @@ def _pulse_lines(tachometer: ForeignChannel | None, mark: str) -> Iterator[str]:
     yield f"{mark}  counts_per_revolution: {counts:.15g}" + ("" if unit is not None else "  # TODO: check the unit")
 
 
-def _run_lines(files: Sequence[ForeignFile], geometry: Geometry | None) -> Iterator[str]:
-    for file in files:
-        kind = _kind(file.path)
-        yield f"  - file: {_quoted(file.path.name)}"
-        yield '    run: "{stem}"'
-        yield f"    kind: {kind or 'TODO  # static, zero, sweep, check or wind'}"
-        if kind == "static":
-            yield "    trim: TODO  # label of the trim condition"
-        elif kind == "sweep":
-            words = re.split(r"[^a-z]+", file.path.stem.lower())
-            excited = next((name for name in COMPONENTS if name.lower() in words), "TODO")
-            yield f"    excited: {excited}"
-            yield "    excitation: TODO  # multisine, random, sine-sweep, stepped or impact"
-            yield "    # period: seconds of a multisine; level: rms in N or N m, by default that of the record"
-        elif kind in ("check", "wind") and geometry is not None and geometry.rotor is not None:
-            yield f"    rotor_speed: {geometry.rotor.speed:g}  # Hz, nominal"
+def _run_lines(file: ForeignFile, geometry: Geometry | None) -> Iterator[str]:
+    kind = _kind(file.path)
+    yield f"  - file: {_quoted(file.path.name)}"
+    yield '    run: "{stem}"'
+    yield f"    kind: {kind or 'TODO  # static, zero, sweep, check or wind'}"
+    if kind == "static":
+        yield "    trim: TODO  # label of the trim condition"
+    elif kind == "sweep":
+        yield f"    excited: {_excited(file.path)}"
+        yield "    excitation: TODO  # multisine, random, sine-sweep, stepped or impact"
+        yield "    # period: seconds of a multisine; level: rms in N or N m, by default that of the record"
+    elif kind in ("check", "wind") and geometry is not None and geometry.rotor is not None:
+        yield f"    rotor_speed: {geometry.rotor.speed:g}  # Hz, nominal"
+
+
+def _excited(path: Path) -> str:
+    """The component in the name of a file."""
+    words = re.split(r"[^a-z]+", path.stem.lower())
+    return next((name for name in COMPONENTS if name.lower() in words), UNFINISHED)
 
 
 def _kind(path: Path) -> str | None:

@@ -404,3 +404,80 @@ def test_a_sketch_tells_angles_and_speeds_from_pulses(tmp_path, head, lines):
     (tmp_path / "wind-1.csv").write_text(f"Time [s],x.strain [V],{head}\n{rows}", encoding="utf-8")
     sketch = invoke("import", "--sketch", tmp_path / "wind-1.csv").stdout
     assert "\n".join(lines) in sketch
+
+
+def write_csv(path, columns, rate=None):
+    """A text file of columns {name: (unit, values)}, with times at a `rate`."""
+    if rate is not None:
+        columns = {"t": ("s", np.arange(len(next(iter(columns.values()))[1])) / rate), **columns}
+    lines = [",".join(columns), ",".join(unit for unit, _ in columns.values())]
+    lines += [",".join(map(repr, row)) for row in np.transpose([values for _, values in columns.values()]).tolist()]
+    path.write_text("\n".join(lines), encoding="utf-8")
+
+
+def write_unlike_files(folder, samples=400):
+    """A wind run with two boxes, statics in kgf with one of them, and sweeps with a load column of their own each."""
+    rng = np.random.default_rng(1)
+    strain, piezo = [{name: ("V", rng.normal(size=samples))} for name in ("s1", "p1")]
+    write_csv(folder / "wind-1.csv", {**strain, **piezo, "Fx": ("N", 0 * strain["s1"][1])}, 100.0)
+    write_csv(folder / "static-1.csv", {**strain, "Fx": ("kgf", np.arange(samples) % 7.0)})
+    for name in ("Fx", "Fy"):
+        write_csv(folder / f"sweep-{name}.csv", {**strain, **piezo, "cell": ("N", rng.normal(size=samples))}, 100.0)
+    return [folder / f"{name}.csv" for name in ("wind-1", "static-1", "sweep-Fx", "sweep-Fy")]
+
+
+def test_channels_and_loads_of_some_runs(tmp_path):
+    """An exciter that was moved, a box that statics lack and another unit of their loads are one map."""
+    files = write_unlike_files(tmp_path)
+    sweep = {"kind": "sweep", "excitation": "random"}
+    runs = [
+        {"file": "wind-*", "kind": "wind", "rotor_speed": 0.0, "loads": {"Fx": None}},
+        {"file": "static-*", "kind": "static", "trim": "bare", "channels": {"p1": None}},
+        *({"file": f"sweep-{c}*", "excited": c, "loads": {"Fx": None, "cell": c}, **sweep} for c in ("Fx", "Fy")),
+    ]
+    mapping = base_map(channels={"s1": "x.strain", "p1": "x.piezo"}, loads={"Fx": "Fx"}, time="t", runs=runs)
+    run_import(tmp_path, mapping, *files)
+    static, moved = (open_run(tmp_path / "runs" / f"{name}.h5") for name in ("static-1", "sweep-Fy"))
+    assert static.channel_names == ("x.strain",) and moved.channel_names == ("x.strain", "x.piezo")
+    assert np.allclose(static.read().loads[:, 0], 9.80665 * (np.arange(400) % 7.0))
+    assert not moved.read().loads[:, 0].any() and moved.read().loads[:, 1].std() == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ({"channels": {"p1": "x.strain"}}, "are the channel `x.strain`"),
+        ({"loads": {"cell": "Fx"}}, "are the component `Fx`"),
+        ({"channels": {"p1": None, "s1": None}}, "no entries"),
+        ({}, "`p1: null` in the entry of `runs` leaves it out"),
+    ],
+)
+def test_bad_entries_of_some_runs(tmp_path, entry, words):
+    files = write_unlike_files(tmp_path)
+    runs = [{"file": "*", "kind": "static", "trim": "bare", **entry}]
+    mapping = base_map(channels={"s1": "x.strain", "p1": "x.piezo"}, loads={"Fx": "Fx"}, runs=runs)
+    assert words in run_import(tmp_path, mapping, files[1], status=2).stderr
+
+
+def test_loads_that_a_sweep_did_not_record_are_zero_unless_they_were_excited(tmp_path):
+    """Of several exciters the record of a sweep has the one that ran."""
+    files = write_unlike_files(tmp_path)
+    loads = {"cell": "Fx", "cell 2": "Fy"}
+    runs = [{"file": "sweep-{c}.csv", "kind": "sweep", "excited": "{c}", "excitation": "random"}]
+    mapping = base_map(channels={"s1": "x.strain"}, loads=loads, time="t", runs=runs)
+    assert "declared to be zero: cell 2" in run_import(tmp_path, mapping, files[2]).output
+    (tmp_path / "runs" / "sweep-Fx.h5").rename(tmp_path / "sweep-Fx.h5")
+    (tmp_path / "runs").rmdir()
+    assert "has no channel `cell 2`" in run_import(tmp_path, mapping, files[3], status=2).stderr
+
+
+def test_a_sketch_of_files_that_differ_is_a_map_of_all(tmp_path):
+    """The map is that of the file with most channels; what others lack or have in other units is in their entries."""
+    files = write_unlike_files(tmp_path)[:2]
+    text = invoke("import", "--sketch", *files).stdout
+    text = text.replace("rig: TODO", "rig: RTS-6").replace("trim: TODO", "trim: bare")
+    assert "p1: null" in text and "unit: kgf" in text
+    (tmp_path / "map.yaml").write_text(text.replace("kind: wind", "kind: zero"), encoding="utf-8")
+    done = invoke("import", tmp_path / "map.yaml", *files, "-o", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    assert open_run(tmp_path / "runs" / "static-1.h5").read().loads[1, 0] == pytest.approx(9.80665)

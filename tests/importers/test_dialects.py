@@ -163,7 +163,7 @@ def import_all(file):
     mapping = {"channels": {name: {"name": name, "unit": "V"} for name in names}, "sample_rate": 1000.0}
     runs = [{"file": "*", "kind": "zero", "run": "zero-1"}]
     mapping = ImportMap.model_validate({"format": "balance-import/1", "rig": "r", "runs": runs} | mapping)
-    return import_run(declared_runs(mapping, [file.path], "map")[0], mapping, [file])
+    return import_run(declared_runs(mapping, [file.path], "map")[0], [file])
 
 
 def test_channels_of_different_lengths_are_not_at_one_stated_rate(tmp_path):

@@ -165,6 +165,8 @@ class MappedRun(FrozenModel):
     rotor_speed: NonNegative | None = None
     note: Annotated[str, Field(max_length=10_000)] | None = None
     recorded: Name | None = None
+    channels: dict[str, Annotated[MappedChannel | None, BeforeValidator(name_as_mapping)]] = Field(default_factory=dict)
+    loads: dict[str, Annotated[MappedLoad | None, BeforeValidator(_component_as_mapping)]] = Field(default_factory=dict)
 
 
 class ImportMap(FrozenModel):
@@ -189,7 +191,11 @@ class ImportMap(FrozenModel):
     runs: Annotated[tuple[MappedRun, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
-    def _check_names(self) -> ImportMap:
+    def _check(self) -> ImportMap:
+        return self.with_checked_names()
+
+    def with_checked_names(self) -> ImportMap:
+        """Return the map. Raises ValueError where keys contradict each other."""
         if not self.channels:
             raise ValueError("`channels` has no entries")
         _refuse_repeats("channel", [channel.name for channel in self.channels.values()])
@@ -203,6 +209,22 @@ class ImportMap(FrozenModel):
         if self.rotor2 is not None and self.rotor is None:
             raise ValueError("`rotor2` needs `rotor`")
         return self
+
+    def for_run(self, entry: MappedRun) -> ImportMap:
+        """The map with the channels and loads of an entry in place of its own; those that are null are left out.
+
+        Raises ValueError where two channels of the file are then the same channel or component, or none is left.
+        """
+        changes = {
+            field: {
+                name: mapped
+                for name, mapped in {**getattr(self, field), **getattr(entry, field)}.items()
+                if mapped is not None
+            }
+            for field in ("channels", "loads")
+            if getattr(entry, field)
+        }
+        return self.model_copy(update=changes).with_checked_names() if changes else self
 
 
 def _refuse_repeats(what: str, names: list[str]) -> None:

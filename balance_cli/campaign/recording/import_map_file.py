@@ -23,12 +23,16 @@ _WORD = re.compile(r"\{(\w+)\}")
 
 @dataclass(frozen=True)
 class DeclaredRun:
-    """A run that files make together, with the words of the pattern filled in; `place` is that of its entry."""
+    """A run that files make together, with the words of the pattern filled in; `place` is that of its entry.
+
+    `mapping` has the channels and loads of the entry in place of those of the map.
+    """
 
     name: str
     entry: MappedRun
     place: str
     files: tuple[Path, ...]
+    mapping: ImportMap
 
 
 def read_import_map(path: Path) -> ImportMap:
@@ -73,15 +77,19 @@ def declared_runs(declared: ImportMap, files: tuple[Path, ...], map_file: str) -
         place = f"runs[{number}]"
         try:
             entry = _fill_in(declared.runs[number], words)
+            mapping = declared.for_run(entry)
         except UserError as error:
             raise error.with_location(map_file, place) from error
+        except ValueError as error:
+            remedy = "Set those of the map that these files do not have to null in the entry"
+            raise UserError(str(error), map_file, place, remedy) from error
         if entry.run in runs and runs[entry.run].place != place:
             fault = (
                 f"gives {file.name} the run name `{entry.run}`, which another entry gives {runs[entry.run].files[0]}"
             )
             raise UserError(fault, map_file, place, "Give each run a name of its own")
         before = runs[entry.run].files if entry.run in runs else ()
-        runs[entry.run] = DeclaredRun(entry.run, entry, place, (*before, file))
+        runs[entry.run] = DeclaredRun(entry.run, entry, place, (*before, file), mapping)
     return tuple(runs.values())
 
 
