@@ -47,7 +47,7 @@ EXIT_DISCREPANCY = 3
     default=300.0,
     show_default=True,
     metavar="SECONDS",
-    help="Computing time after which no further effect is tried; the best model is written, and a note says so.",
+    help="Computing time after which no further effect is tried and fits end early; a note says that it was reached.",
 )
 @click.option(
     "--suspect",

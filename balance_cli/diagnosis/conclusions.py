@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
@@ -32,7 +31,6 @@ from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.percent import percent_text
-from balance_cli.model.effects import EFFECTS
 from balance_cli.model.effects.places import channels_at
 from balance_cli.model.effects.search_hints import CommonAlternative
 from balance_cli.model.fitted_effects import FittedEffect
@@ -79,34 +77,6 @@ def judge_drifts(diagnosis: Diagnosis) -> Diagnosis:
         notes.append(f"{', '.join(averages)} {states} of what drifts within the records, not constant")
     verdict = PARTLY_EXPLAINED if averages and diagnosis.verdict == EXPLAINED else diagnosis.verdict
     return replace(diagnosis, notes=(*diagnosis.notes, *notes), verdict=verdict)
-
-
-def judge_number_of_causes(diagnosis: Diagnosis) -> Diagnosis:
-    """Return the diagnosis, explained in part where it needs more causes at once than are likely.
-
-    Enough effects describe any data: six that were not there explained a damped cell before the library had its effect.
-    """
-    limit = (diagnosis.settings or DEFAULT_SETTINGS).selection.max_causes
-    count = count_causes(diagnosis.effects)
-    if diagnosis.verdict != EXPLAINED or count <= limit:
-        return diagnosis
-    note = (
-        f"{count} causes at once describe these data; one that no effect of the library describes is likelier. Look "
-        "for each of them at the rig before the updated model is used"
-    )
-    return replace(diagnosis, notes=(*diagnosis.notes, note), verdict=PARTLY_EXPLAINED)
-
-
-def count_causes(effects: Sequence[FoundEffect]) -> int:
-    """Return the number of causes of these effects.
-
-    Readings without load, which are everyday, and effects of no consequence are none; what an effect does to several
-    load components, each of which has an exciter like the others, is one.
-    """
-    everyday = {effect.name for effect in EFFECTS if effect.is_zero_reading}
-    counted = [effect for effect in effects if effect.name not in everyday and not effect.is_of_no_consequence]
-    at_loads = {effect.name for effect in counted if effect.where and set(effect.where) <= set(COMPONENTS)}
-    return len(at_loads) + sum(effect.name not in at_loads for effect in counted)
 
 
 def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_aside: Sequence[str] = ()) -> Diagnosis:

@@ -13,6 +13,7 @@ from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import is_excluded
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.initial_candidates import initial_candidates
+from balance_cli.diagnosis.search.late_channels import late_channels
 from balance_cli.diagnosis.search.refit import SearchState
 from balance_cli.diagnosis.search.search import SearchResult, search
 from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
@@ -94,7 +95,8 @@ def update_model(
         *initial_candidates(spectra.lines, start.geometry, settings),
         *spin_candidates(spectra.lines, start.geometry, settings),
     )
-    search_result = search(start, theta, lines, announce, initial_sets, settings)
+    late = late_channels(spectra.lines, start.geometry, settings)
+    search_result = search(start, theta, lines, announce, initial_sets, late, settings)
     certain_labels = effect_labels(start) | {trial.label for trial in search_result.trials if trial.round == 0}
     task = _UpdateTask(start, theta, batches, lines, given_labels, certain_labels, announce, settings)
     update = _test_on_all_lines(task, search_result)

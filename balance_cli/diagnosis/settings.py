@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.diagnosis.data_test_settings import DataTestSettings
+from balance_cli.diagnosis.fit_settings import FitSettings, LateChannelSettings, TimedFitSettings
 from balance_cli.diagnosis.hold_out_settings import FreeSimulationSettings, HoldOutSettings
+from balance_cli.estimation.deadline import Deadline
 
 
 @dataclass(frozen=True)
@@ -29,40 +31,6 @@ class ScoreSettings:
     """Degrees of freedom of a noise of which nothing is known: with one, F makes hardly any gain significant."""
     min_tested_gain: float = 10.0
     """Gain above which the noise of each static line is looked at: a smaller one is not significant in any noise."""
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """Fits on the few lines of the search, and fits on all lines."""
-
-    target_lines: int = 300
-    """Lines of all sweeps together that a fit of the search takes: few, so that many candidates can be fitted."""
-    min_run_lines: int = 20
-    """Lines that each sweep keeps at least, so that none of its modes is lost."""
-    trial_steps: int = 3
-    """Steps from each start, to tell a good start from a bad one."""
-    search_steps: int = 12
-    """Steps of a fit of the search between two estimates of the model error."""
-    search_rounds: int = 8
-    """Rounds of fit and model error: a bound for errors that shrink slowly."""
-    search_min_step_gain: float = 4.0
-    """Decrease of chi-square that a step of the search must promise: below it no decision changes."""
-    min_error_decrease: float = 0.1
-    """Relative decrease of the model error by which a round is worth another one."""
-    start_steps: int = 10
-    """First steps of a fit on all lines, with every parameter held near its start."""
-    max_start_scales: float = 3.0
-    """Scales by which these steps may move a parameter without a prior."""
-    min_step_gain: float = 0.3
-    """Decrease of chi-square that a first step on all lines must promise: below it starts are equally good."""
-    steps_before_valley: int = 8
-    """Steps on all lines after which a fit counts as one along a valley: all others have converged by then."""
-    contender_steps: int = 12
-    """Steps after which compared fits that cannot reach the best are given up: all but those along valleys are done."""
-    comparison_tolerance: float = 0.1
-    """Tolerance of chi-square of fits that are compared: well below `indistinguishable_chi2`."""
-    max_noise_chi2_per_dof: float = 1.05
-    """chi2/dof that the uncertainty of the measured noise alone can make."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +174,7 @@ class SelectionSettings:
     strong_gain: float = 1e3
     """Gain of chi-square above which Wald's statistic is enough and no refit without the effect is needed."""
     hurried_steps: int = 3
-    """Steps of a refit without a needless effect once the time is over: the first is the linear one, two correct it."""
+    """Steps of a fit once the time is over: the first is the linear one, two correct it."""
     max_refits: int = 4
     """Candidates of a round that are refitted."""
     refit_score_deficit: float = 12.0
@@ -223,6 +191,10 @@ class SelectionSettings:
     """As `refit_score_deficit`, for alternatives of a weak effect, whose loss a refit has measured."""
     max_causes: int = 4
     """Causes that a rig may have at once: more are less likely than one that no effect of the library describes."""
+    equal_sigma: float = 4.0
+    """Standard deviations within which two values are one: of eight channels none departs so far by chance."""
+    equal_share: float = 0.05
+    """Share of a value that a difference must stay below, too: values known no better agree with any other."""
     max_replaced: int = 6
     """Effects that alternatives may replace: two that replace each other in turn must end."""
     invisible_chi2: float = 1e-3
@@ -272,6 +244,7 @@ class SearchSettings:
     score: ScoreSettings = field(default_factory=ScoreSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     rounds: RoundSettings = field(default_factory=RoundSettings)
+    late_channels: LateChannelSettings = field(default_factory=LateChannelSettings)
     modes: UnmodelledModeSettings = field(default_factory=UnmodelledModeSettings)
     mains: MainsFrequencySettings = field(default_factory=MainsFrequencySettings)
     point_mass: PointMassSettings = field(default_factory=PointMassSettings)
@@ -290,11 +263,22 @@ class SearchSettings:
     alternative_gap: float = 30.0
     """Difference of chi-square on which an explanation is not yet rejected: the plate, or all lines, may reverse it."""
     time_limit: float = 300.0
-    """Seconds of computing after which no further round begins: the longest that a user is kept waiting."""
+    """Seconds of computing after which no further round begins and fits hurry to their end: the longest wait."""
     excluded: tuple[str, ...] = ()
     """Effects (NAME or NAME@PLACE) that are no candidates: by the user, or contradicted by a free simulation."""
     suspected: tuple[str, ...] = ()
     """Effects (NAME or NAME@PLACE) that are tried first, and tested in any case."""
+
+    def begin(self) -> SearchSettings:
+        """Return the settings with the time running, if it is not yet."""
+        if self.fit.deadline is not None:
+            return self
+        deadline = Deadline(self.time_limit, hurried_iterations=self.selection.hurried_steps)
+        return replace(self, fit=TimedFitSettings(**vars(self.fit), deadline=deadline))
+
+    def without_deadline(self) -> SearchSettings:
+        """Return the settings as they are stored."""
+        return replace(self, fit=self.fit.without_deadline())
 
 
 DEFAULT_SETTINGS = SearchSettings()

@@ -13,12 +13,13 @@ class Deadline:
 
     The clock that has run least since then counts. Time in which other programs have the processor is none, so that a
     busy machine finds what an idle one finds; threads that compute at once count once. `was_reached` says whether
-    anybody found it over.
+    anybody found it over. Fits take `hurried_iterations` after it.
     """
 
     seconds: float | None
     clocks: tuple[Callable[[], float], ...] = (time.monotonic, time.process_time)
     was_reached: bool = False
+    hurried_iterations: int = 3
     _start: tuple[float, ...] = field(init=False)
 
     def __post_init__(self) -> None:

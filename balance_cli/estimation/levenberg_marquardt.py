@@ -5,13 +5,14 @@ K. Levenberg, Quart. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.coordinates import Coordinates, coordinates
+from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.model.parameters import ParameterSet
 
@@ -62,18 +63,19 @@ def minimize(
     tolerance: float = 1e-4,
     known: Curvature | None = None,
     near_minimum: bool = False,
+    deadline: Deadline | None = None,
 ) -> Minimum:
     """Minimize chi2 of the data plus priors over the free parameters.
 
     Steps are taken in the coordinates that make the scale of the rig a straight line, within bounds, damped after
     Marquardt. The fit ends when the predicted decrease of chi2 is less than `tolerance`, or less than 1e-9 of chi2.
     `known`: the curvature of the data at `start`, where another fit has ended there. `near_minimum`: as in
-    `coordinates`.
+    `coordinates`. After the `deadline` it ends as soon as it has taken a few steps.
     """
-    theta, damping = np.array(start, float), 0.0
+    theta, damping, iteration = np.array(start, float), 0.0, 0
     problem = _BoundedProblem(parameters, coordinates(parameters, theta, near_minimum), curvature, chi2)
     data = curvature(theta) if known is None else known
-    for iteration in range(1, iterations + 1):
+    for iteration in _numbers(iterations, deadline):
         with_priors = data + prior_curvature(parameters, theta)
         total = problem.fix_at_bounds(theta, problem.transform_curvature(theta, with_priors))
         decrease = predicted_decrease(total)
@@ -83,7 +85,15 @@ def minimize(
         if step is None:
             return Minimum(theta, data, with_priors, iteration, decrease < 1e-6 * total.chi2)
         theta, data, damping = step
-    return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
+    return Minimum(theta, data, data + prior_curvature(parameters, theta), iteration, False)
+
+
+def _numbers(iterations: int, deadline: Deadline | None) -> Iterator[int]:
+    """The numbers of the iterations, a few once the time is over."""
+    for iteration in range(1, iterations + 1):
+        yield iteration
+        if deadline is not None and iteration >= deadline.hurried_iterations and deadline.is_over:
+            return
 
 
 @dataclass(frozen=True)

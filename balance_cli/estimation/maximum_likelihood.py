@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.starting_values import add_weak_priors
@@ -32,11 +33,12 @@ def fit_maximum_likelihood(
     iterations: int = ITERATIONS,
     tolerance: float = TOLERANCE,
     known: Curvature | None = None,
+    deadline: Deadline | None = None,
 ) -> Minimum:
     """Maximize the likelihood of the lines (errors on channels and loads) times the priors, from `start`.
 
     The fit ends when the predicted decrease of chi-square is less than `tolerance`. `known`: the curvature of the data
-    at `start`, where another fit of this model to these lines has ended there.
+    at `start`, where another fit of this model to these lines has ended there. `deadline`: as in `minimize`.
     """
     return minimize(
         model.parameters,
@@ -47,6 +49,7 @@ def fit_maximum_likelihood(
         tolerance=tolerance,
         known=known,
         near_minimum=True,
+        deadline=deadline,
     )
 
 
@@ -58,12 +61,13 @@ def take_first_steps(
     prior_scales: float,
     min_decrease: float,
     known: Curvature | None = None,
+    deadline: Deadline | None = None,
 ) -> Minimum:
     """Take at most `count` steps from `theta`, with weak priors of `prior_scales` scales on parameters without one.
 
     As long as an effect is small, the data have no information on the parameters of its shape, and steps along these
     would delay all others. The fit ends when the predicted decrease of chi-square is less than `min_decrease`. The weak
-    priors are no part of `total`. `known`: the curvature of the data at `theta`, as in a whole fit.
+    priors are no part of `total`. `known` and `deadline`: as in a whole fit.
     """
     minimum = minimize(
         add_weak_priors(model.parameters, theta, prior_scales),
@@ -73,6 +77,7 @@ def take_first_steps(
         iterations=count,
         tolerance=min_decrease,
         known=known,
+        deadline=deadline,
     )
     return replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta))
 

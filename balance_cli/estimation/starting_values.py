@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.channel_alignment import alignment_residual
+from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.equations_of_motion import motion_residuals
 from balance_cli.estimation.levenberg_marquardt import minimize
 from balance_cli.estimation.likelihood import Curvature
@@ -91,12 +92,16 @@ def find_starting_values(
 
 
 def start_from_equations_of_motion(
-    parameters: ParameterSet, batches: Sequence[Batch], system: SystemAt, start: Array
+    parameters: ParameterSet,
+    batches: Sequence[Batch],
+    system: SystemAt,
+    start: Array,
+    deadline: Deadline | None = None,
 ) -> Array:
     """The full parameter vector with the least residual of the equations of motion, the channels being as at `start`.
 
     It comes near the truth from nearly anywhere if the model is complete. Returns `start` where the regression leads to
-    parameters that are not physical.
+    parameters that are not physical. `deadline`: as in `minimize`.
     """
     weakly_constrained = add_weak_priors(parameters, start, REGRESSION_PRIOR_SCALES)
     try:
@@ -106,6 +111,7 @@ def start_from_equations_of_motion(
                 motion_residuals(batches, system(start, True), max_lines=QUICK_START_LINES),
                 system,
                 start,
+                deadline,
             )
     except np.linalg.LinAlgError:
         return start
@@ -124,6 +130,7 @@ def _fit_regression(
     residuals: Sequence[Callable[[System], RegressionResidual]],
     system: SystemAt,
     start: Array,
+    deadline: Deadline | None = None,
 ) -> Array:
     """Least squares with the priors; the variance is that of the residual, estimated again in each round."""
 
@@ -148,6 +155,7 @@ def _fit_regression(
             lambda theta, v=variance: 2.0 * squares(theta) / v,  # type: ignore[misc]
             iterations=20,
             tolerance=1e-4 * count,
+            deadline=deadline,
         ).theta
     return start
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.rig_scales import rig_frequency
+from balance_cli.diagnosis.causes import judge_number_of_causes
 from balance_cli.diagnosis.common_load_gain import judge_common_load_gain
 from balance_cli.diagnosis.conclusions import (
     decide_verdict,
     describe_added_effects,
     diagnosis_notes,
     judge_drifts,
-    judge_number_of_causes,
 )
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
@@ -28,7 +28,6 @@ from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.worse_update import refuse_worse_update
 from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift, share_with_contacts
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -54,8 +53,8 @@ def diagnose(
     model of the paper's form, and without any sweep or any line in the band.
     """
     _check_inputs(model, spectra)
-    spectra = spectra.in_band(model.band)
-    announce = _Announcer(progress, settings.time_limit)
+    spectra, settings = spectra.in_band(model.band), settings.begin()
+    announce = _Announcer(progress, settings)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)
     measured, spectra = spectra, add_drift_variance(spectra, zeros.drift)
@@ -135,7 +134,7 @@ def _build_diagnosis(
         candidate_count=len(scores),
         location="" if explained else describe_residual_location(residual, settings.residual_map),
         notes=diagnosis_notes(spectra, update.fit, updated, settings),
-        settings=settings,
+        settings=settings.without_deadline(),
         left_out=left_out,
         dof=after.dof,
     )
@@ -189,14 +188,14 @@ class _Announcer:
     """Work of a usual diagnosis: two rounds of the search, one on all lines. Further steps stay below LAST_SHARE."""
     LAST_SHARE = 0.95
 
-    def __init__(self, progress: Progress | None, time_limit: float) -> None:
+    def __init__(self, progress: Progress | None, settings: SearchSettings) -> None:
         self._progress, self._done, self._at_work = progress, 0.0, 0.0
-        self._deadline = Deadline(time_limit)
+        self._fits = settings.fit
 
     @property
     def is_over(self) -> bool:
         """Whether the time limit has been reached."""
-        return self._deadline.is_over
+        return self._fits.is_over
 
     def __call__(self, text: str) -> bool:
         self._done += self._at_work

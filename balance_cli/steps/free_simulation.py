@@ -114,9 +114,11 @@ def diagnose_with_free_simulation(
 ) -> tuple[Diagnosis, IdentifiedModel]:
     """Return a diagnosis without nonlinear effects that make a simulation by the loads alone worse.
 
-    Where one does, the effect is excluded and the diagnosis repeated; a second time at all places.
+    Where one does, the effect is excluded and the diagnosis repeated; a second time at all places. The time limit is
+    that of all together.
     """
     rejected: tuple[str, ...] = ()
+    settings = settings.begin()
     while True:
         diagnosis, updated = diagnose(task.model, task.spectra, settings=settings)
         found = {effect_label(effect.name, effect.where) for effect in diagnosis.effects}

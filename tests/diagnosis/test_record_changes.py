@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.diagnosis.conclusions import judge_drifts, judge_number_of_causes
+from balance_cli.diagnosis.causes import equal_effects, judge_number_of_causes
+from balance_cli.diagnosis.conclusions import judge_drifts
 from balance_cli.diagnosis.data_tests.channel_drifts import channel_drift_tests
 from balance_cli.diagnosis.data_tests.record_changes import record_tests
 from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, RECORD_CHANGE_TEST, UNEXPLAINED, ModelFreeTest
@@ -17,6 +18,7 @@ from tests.support.diagnosis_content import delay_effect, diagnosis
 from tests.support.rigs import rotor_balance
 
 SETTINGS = DEFAULT_SETTINGS.data_tests
+SELECTION = DEFAULT_SETTINGS.selection
 
 
 PERIODS, STEADY = 14, 6
@@ -137,9 +139,32 @@ def test_an_effect_that_is_the_average_of_a_drift_is_not_explained():
     assert elsewhere.notes[-1] == "z1.strain, z1.piezo: drifts within the records"
 
 
+def late_by(delay, channel):
+    effect = delay_effect()
+    return replace(effect, where=(channel,), parameters=(replace(effect.parameters[0], value=delay),))
+
+
+def test_one_delay_of_many_channels_is_one_cause():
+    """Eight of fifteen channels on one late box were eight causes, which no rig has at once."""
+    names = ("x.strain", "y1.strain", "y2.strain", "x.piezo", "y1.piezo", "y2.piezo")
+    late = [late_by(2.1e-3 + 2e-6 * (i % 3), name) for i, name in enumerate(names)]
+    other = late_by(-2.1e-3, "torque")
+    assert sorted(map(len, equal_effects([*late, other], SELECTION))) == [1, 6]
+    judged = judge_number_of_causes(replace(diagnosis(EXPLAINED), effects=(*late, other)))
+    assert judged.verdict == EXPLAINED
+    assert judged.notes[-1].startswith("time-delay is the same in x.strain, ") and "torque" not in judged.notes[-1]
+
+
+def test_values_that_are_hardly_known_are_not_one():
+    vague = replace(delay_effect().parameters[0], sigma=5e-5)
+    effects = [replace(delay_effect(), where=(name,), parameters=(vague,)) for name in ("x.piezo", "y1.piezo")]
+    effects[1] = replace(effects[1], parameters=(replace(vague, value=3.5e-4),))
+    assert len(equal_effects(effects, SELECTION)) == 2
+
+
 def test_more_causes_than_a_rig_has_at_once_are_no_explanation():
     """Zeros of channels and one fault of all exciters count little; what acts in four cells or channels is four."""
-    late = [replace(delay_effect(), where=(name,)) for name in ("x.piezo", "y1.piezo", "y2.piezo", "z1.piezo")]
+    late = [late_by(2.5e-4 * (i + 1), name) for i, name in enumerate(("x.piezo", "y1.piezo", "y2.piezo", "z1.piezo"))]
     masses = [replace(delay_effect(), name="exciter-mass", where=(name,)) for name in ("Fx", "Fy", "Mz")]
     zero = replace(delay_effect(), name="channel-offset", where=("x.strain",))
     idle = replace(delay_effect(), name="low-pass", worth={"Fx": 1e-3})

@@ -8,7 +8,7 @@ import pytest
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search import search as search_module
-from balance_cli.diagnosis.search.refit import fit_until_stable
+from balance_cli.diagnosis.search.refit import fit_until_stable, take_steps
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.whole_fits import add_by_whole_fit
@@ -75,6 +75,17 @@ def test_an_effect_of_the_model_is_not_added_again(late):
     assert add_by_whole_fit(state, lines, SETTINGS) == (state, (), {})
 
 
+def test_once_the_time_is_over_nothing_more_is_tried_and_fits_hurry(late):
+    """After a limit of 5 s, whole fits and restarts of the sample rig went on for 40 s of computing."""
+    _, lines, state = late
+    hasty = replace(SETTINGS, time_limit=0.0).begin()
+    assert add_by_whole_fit(state, lines, hasty) == (state, (), {})
+    assert search_module.restart_if_better(state, lines, hasty) is None
+    model = balance_model(RIG)
+    steps = take_steps(model, model.parameters.value, lines.fitted, 12, SETTINGS.fit).iterations
+    assert take_steps(model, model.parameters.value, lines.fitted, 12, hasty.fit).iterations <= 3 < steps
+
+
 def test_nothing_is_tried_where_little_is_missing():
     lines = lines_of(RIG, 1e-3 / natural_frequencies().min())
     state = fitted_state(lines)
@@ -113,7 +124,7 @@ def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypa
         return RoundResult(None) if len(rounds) == 1 else search_round(*arguments)
 
     monkeypatch.setattr(search_module, "search_round", in_vain_at_first)
-    result = search_module.search(state.model, state.theta, lines, lambda text: False, (), SETTINGS)
+    result = search_module.search(state.model, state.theta, lines, lambda text: False, (), (), SETTINGS)
     accepted = [trial.label.split("@")[0] for trial in result.trials if trial.decision == "accepted"]
     assert accepted == ["support-flexibility", "added-mass"]
     assert result.state.error < 3 * NOISE

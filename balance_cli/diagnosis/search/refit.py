@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import refine_point_mass
 from balance_cli.diagnosis.search.score_statistics import Score, add_scored_candidate, has_nuisance_parameters
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.diagnosis.settings import FitSettings, SearchSettings
+from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2
@@ -73,7 +74,7 @@ def fit_until_stable(
         theta = take_steps(model, theta, weighted, settings.search_steps, settings).theta
         system = model.system(theta, derivatives=False)
         before, shares = shares, estimate_model_error(lines.fitted, system, shares)
-        if all(shares[run] >= (1.0 - settings.min_error_decrease) * before[run] for run in shares):
+        if settings.is_over or all(shares[run] >= (1.0 - settings.min_error_decrease) * before[run] for run in shares):
             break
     prior = prior_curvature(model.parameters, theta).chi2
     validation_shares = estimate_model_error(lines.validation, system, shares)
@@ -94,8 +95,8 @@ def take_steps(
 
     `known`: the curvature of the data at `theta`, where other steps have ended there.
     """
-    min_gain = settings.search_min_step_gain
-    return take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, min_gain, known)
+    min_gain, deadline = settings.search_min_step_gain, settings.deadline
+    return take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, min_gain, known, deadline)
 
 
 def minus_two_log_likelihood(system: System, batches: Sequence[Batch], shares: ModelErrors) -> float:
@@ -128,7 +129,8 @@ def fit_partially(state: SearchState, score: Score, lines: SearchLines, settings
         theta = refine_point_mass(model, extend_model(state.model, state.theta, geometry)[1], batches, settings)
     starts = [theta]
     if has_nuisance_parameters(score):
-        starts.append(start_from_equations_of_motion(model.parameters, lines.fitted, model.system, theta))
+        deadline = settings.fit.deadline
+        starts.append(start_from_equations_of_motion(model.parameters, lines.fitted, model.system, theta, deadline))
     return _best_partial_fit(model, starts, state, batches, settings.fit)
 
 
@@ -157,5 +159,6 @@ def fit_with_candidate(
 
 def restart(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:
     """Return the same model, with all parameters fitted again from the regression."""
-    theta = start_from_equations_of_motion(state.model.parameters, lines.fitted, state.model.system, state.theta)
+    model = state.model
+    theta = start_from_equations_of_motion(model.parameters, lines.fitted, model.system, state.theta, settings.deadline)
     return fit_until_stable(state.model, theta, lines, settings)

@@ -32,7 +32,7 @@ def restart_one_by_one(state: SearchState, lines: SearchLines, settings: SearchS
         if best.fit_criterion >= state.fit_criterion - settings.parameter_cost:
             break
         state = best
-        if state.error <= settings.rounds.large_error:
+        if settings.fit.is_over or state.error <= settings.rounds.large_error:
             break
     return state
 

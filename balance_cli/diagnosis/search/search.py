@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Trial
-from balance_cli.diagnosis.search.candidates import candidates, suspected_candidates
+from balance_cli.diagnosis.search.candidates import Candidate, candidates, suspected_candidates
 from balance_cli.diagnosis.search.initial_candidates import InitialCandidates
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fit_with_candidate, restart
 from balance_cli.diagnosis.search.restarts import restart_one_by_one
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.diagnosis.search.whole_fits import add_body_by_whole_fit, add_by_whole_fit
+from balance_cli.diagnosis.search.whole_fits import add_all_by_whole_fit, add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.io.percent import percent_text
 from balance_cli.model.balance import BalanceModel
+from balance_cli.model.placed_effects import declared_effects
 
 Array = NDArray[np.float64]
 Announce = Callable[[str], bool]
@@ -49,18 +50,26 @@ def search(
     lines: SearchLines,
     announce: Announce,
     initial_sets: Sequence[InitialCandidates],
+    late: Sequence[Candidate],
     settings: SearchSettings,
 ) -> SearchResult:
     """Add effects one by one until none helps; where the error stays large, fit everything again from the regression.
 
-    The effects that the data demand without a model come first. `announce` returns whether the time is over.
+    The effects that the data demand without a model come first, those of `late` channels together. `announce` returns
+    whether the time is over.
     """
     result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
+    result = result.add(*add_all_by_whole_fit(result.state, late, lines, settings))
     for initial_set in initial_sets:
+        present = {effect.label for effect in declared_effects(result.state.geometry)}
+        if settings.fit.is_over:
+            break
+        if not present.isdisjoint(item.label for item in initial_set.candidates):
+            continue
         result = _add_initial_candidate(result, initial_set, lines, settings)
     result = result.add(*add_by_whole_fit(result.state, lines, settings))
     for word in settings.suspected:
-        pool = suspected_candidates(word, result.state.geometry)
+        pool = () if settings.fit.is_over else suspected_candidates(word, result.state.geometry)
         added = search_round(result.state, lines, 1, pool, settings) if pool else RoundResult(None)
         result = result.add(added.state or result.state, added.trials, added.alternatives)
     base = result.state
@@ -140,6 +149,8 @@ def restart_if_better(state: SearchState, lines: SearchLines, settings: SearchSe
 
     The regression comes first. Where its error is large too, single motions are restarted, one after another.
     """
+    if settings.fit.is_over:
+        return None
     restarted = restart(state, lines, settings.fit)
     best = restarted if restarted.fit_criterion < state.fit_criterion else state
     if best.error > settings.rounds.large_error:

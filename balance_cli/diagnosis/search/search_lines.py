@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.settings import FitSettings
+from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
 from balance_cli.diagnosis.search.rounds import search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.diagnosis.settings import FitSettings, SearchSettings, UnmodelledModeSettings
+from balance_cli.diagnosis.settings import SearchSettings, UnmodelledModeSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.model_error import add_model_error

@@ -31,6 +31,28 @@ from balance_cli.estimation.starting_values import start_from_equations_of_motio
 REASON = "the model misses a large part of the response, and a whole fit with it describes more"
 
 
+def add_all_by_whole_fit(
+    state: SearchState, together: Sequence[Candidate], lines: SearchLines, settings: SearchSettings
+) -> tuple[SearchState, tuple[Trial, ...], dict[str, dict[str, float]]]:
+    """Return the state with several candidates at once, fitted from their starts, as `add_by_whole_fit`.
+
+    One alone is left to the rounds of the search, and so are all of them where little is missing.
+    """
+    if len(together) < 2 or state.error <= settings.rounds.stuck_error:
+        return state, (), {}
+    end = _whole_fit(state, together, lines, settings)
+    accepted = _describes_more(end, state, settings)
+    gain = state.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(state.theta))
+    trials = tuple(_trial(item.label, gain, accepted, 1) for item in together)
+    return (end, trials, {item.label: {item.label: gain} for item in together}) if accepted else (state, trials, {})
+
+
+def _describes_more(end: SearchState, current: SearchState, settings: SearchSettings) -> bool:
+    """Whether a whole fit has a clearly smaller error than the current state, on the validation lines, too."""
+    is_smaller = end.error < settings.rounds.slow_progress * current.error
+    return is_smaller and end.validation_criterion < current.validation_criterion
+
+
 def add_by_whole_fit(
     state: SearchState, lines: SearchLines, settings: SearchSettings
 ) -> tuple[SearchState, tuple[Trial, ...], dict[str, dict[str, float]]]:
@@ -67,7 +89,9 @@ def _best_whole_fit(
     """The whole fit of `base` with one of a pool that describes clearly more than `current`, None without one."""
     ends = dict[str, SearchState]()
     for item in pool:
-        end = _whole_fit(base, item, lines, settings)
+        if settings.fit.is_over:
+            break
+        end = _whole_fit(base, [item], lines, settings)
         if item.label not in ends or end.fit_criterion < ends[item.label].fit_criterion:
             ends[item.label] = end
     gains = {
@@ -75,11 +99,7 @@ def _best_whole_fit(
         for label, end in ends.items()
     }
     best = max(gains, key=lambda label: gains[label], default=None)
-    is_better = best is not None and (
-        ends[best].error < settings.rounds.slow_progress * current.error
-        and ends[best].validation_criterion < current.validation_criterion
-    )
-    accepted = best if is_better else None
+    accepted = best if best is not None and _describes_more(ends[best], current, settings) else None
     trials = tuple(_trial(label, gain, label == accepted, number) for label, gain in gains.items())
     if accepted is None:
         return None, trials, {}
@@ -115,12 +135,15 @@ def _widest_group(geometry: Geometry) -> str:
     return max(groups, key=lambda name: len(groups[name]), default=geometry.channel_names[0])
 
 
-def _whole_fit(state: SearchState, candidate: Candidate, lines: SearchLines, settings: SearchSettings) -> SearchState:
-    """The fit from a regression that begins at the declared values, as those of the state fit without the effect."""
-    geometry = add_candidates(state.geometry, [(candidate, 0)], at_start_values=True)
+def _whole_fit(
+    state: SearchState, added: Sequence[Candidate], lines: SearchLines, settings: SearchSettings
+) -> SearchState:
+    """The fit from a regression that begins at the declared values, as those of the state fit without the effects."""
+    geometry = add_candidates(state.geometry, [(item, 0) for item in added], at_start_values=True)
     model, _ = extend_model(state.model, state.theta, geometry)
     declared = model.parameters.value
-    theta = start_from_equations_of_motion(model.parameters, lines.fitted, model.system, declared)
+    deadline = settings.fit.deadline
+    theta = start_from_equations_of_motion(model.parameters, lines.fitted, model.system, declared, deadline)
     return fit_until_stable(model, theta, lines, settings.fit)
 
 

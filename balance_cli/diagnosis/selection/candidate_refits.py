@@ -59,7 +59,7 @@ def fit_first_steps(fit: Fit, score: Score, batches: Sequence[Batch], settings: 
         model, theta = start_point_mass(fit, score, batches, settings)
         return start_fit(model, theta, batches, settings.fit)
     model, near = apply_score_step(fit.model, fit.theta, batches, score, settings.score)
-    regressed = start_from_equations_of_motion(model.parameters, batches, model.system, near)
+    regressed = start_from_equations_of_motion(model.parameters, batches, model.system, near, settings.fit.deadline)
     starts = [near, regressed] if np.isfinite(penalized_chi2(model, regressed, batches)) else [near]
     return min((start_fit(model, start, batches, settings.fit) for start in starts), key=lambda end: end.chi2)
 

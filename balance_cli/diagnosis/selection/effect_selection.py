@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidate_at, parameters_of_interest, smaller_places
 from balance_cli.diagnosis.search.extended_models import extend_model
@@ -18,10 +19,9 @@ from balance_cli.diagnosis.selection.effect_statistics import (
 )
 from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, fit_contenders, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
-from balance_cli.diagnosis.settings import FitSettings, SearchSettings
+from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.maximum_likelihood import ITERATIONS
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
@@ -33,17 +33,14 @@ REASON_NOT_NEEDED = "later effects have made it needless"
 REASON_NOT_SUPPORTED = "what no effect explains is larger and could look like it"
 
 
-def refit_without_effect(
-    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: FitSettings, iterations: int = ITERATIONS
-) -> Fit:
-    """Return the refit of the model without an effect, made once for each fit unless of fewer iterations."""
+def refit_without_effect(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: FitSettings) -> Fit:
+    """Return the refit of the model without an effect, made once for each fit."""
     known = fit.reduced.get(effect.label)
     if known is not None and known.is_of(batches, settings):
         return known.fit
     model, theta = extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect))
-    reduced = fit_all_lines(model, theta, batches, settings, iterations)
-    if iterations == ITERATIONS:
-        fit.reduced[effect.label] = ReducedFit(reduced, tuple(batches), settings)
+    reduced = fit_all_lines(model, theta, batches, settings)
+    fit.reduced[effect.label] = ReducedFit(reduced, tuple(batches), settings)
     return reduced
 
 
@@ -112,8 +109,7 @@ def prune_effects(
         independent = independent_gain(gain, fit, effect, batches)
         weak = gain < limits.strong_gain
         if weak and bonferroni_p_value(independent, fitted, tests) >= limits.significance_level:
-            steps = limits.hurried_steps if over else ITERATIONS
-            reduced = refit_without_effect(fit, effect, batches, settings.fit, steps)
+            reduced = refit_without_effect(fit, effect, batches, settings.fit)
             lost = reduced.chi2 - fit.chi2
             independent = independent_gain(lost, fit, effect, batches)
             if over or bonferroni_p_value(independent, fitted, tests) >= limits.significance_level:
@@ -145,6 +141,8 @@ def narrow_places(
     """Return the model with each effect at the smallest place that describes the data as well."""
     trials: list[Trial] = []
     for effect in declared_effects(fit.model.geometry):
+        if settings.fit.is_over:
+            break
         fit, narrowed = _narrow_place(fit, effect, batches, number, settings)
         trials += narrowed
     return fit, tuple(trials)

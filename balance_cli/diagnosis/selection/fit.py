@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.settings import FitSettings
+from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, predicted_decrease
 from balance_cli.estimation.maximum_likelihood import ITERATIONS, fit_maximum_likelihood, take_first_steps
@@ -59,13 +59,17 @@ def fit_all_lines(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings, iterations: int = ITERATIONS
 ) -> Fit:
     """Return the maximum-likelihood fit from `theta` (p,), to the tolerance of chi-square in the settings."""
-    return Fit(model, fit_maximum_likelihood(model, batches, theta, iterations, settings.comparison_tolerance))
+    tolerance, deadline = settings.comparison_tolerance, settings.deadline
+    return Fit(model, fit_maximum_likelihood(model, batches, theta, iterations, tolerance, deadline=deadline))
 
 
 def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> Fit:
     """Return a fit of these lines, which has ended early, continued to the tolerance of chi-square in the settings."""
     tolerance, known = settings.comparison_tolerance, fit.minimum.data
-    return Fit(fit.model, fit_maximum_likelihood(fit.model, batches, fit.theta, tolerance=tolerance, known=known))
+    minimum = fit_maximum_likelihood(
+        fit.model, batches, fit.theta, tolerance=tolerance, known=known, deadline=settings.deadline
+    )
+    return Fit(fit.model, minimum)
 
 
 def fit_contenders(
@@ -93,7 +97,7 @@ def fit_contenders(
 def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:
     """Return the first steps of a fit, in which parameters without a prior stay near `theta` (p,)."""
     steps, scales, min_gain = settings.start_steps, settings.max_start_scales, settings.min_step_gain
-    return Fit(model, take_first_steps(model, theta, batches, steps, scales, min_gain))
+    return Fit(model, take_first_steps(model, theta, batches, steps, scales, min_gain, deadline=settings.deadline))
 
 
 def unexplained_chi2(fit: Fit, batches: Sequence[Batch], error_runs: Collection[str], settings: FitSettings) -> float:
