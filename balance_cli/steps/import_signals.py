@@ -113,7 +113,12 @@ class ChannelFinder:
 
     def _named(self, name: str) -> FoundChannel | None:
         key = " ".join(name.split())
-        return self._channels.get(key) or self._find_in_file(key)
+        return self._channels.get(key) or self._find_in_file(key) or self._find_in_group(key)
+
+    def _find_in_group(self, key: str) -> FoundChannel | None:
+        """The only channel `GROUP/key`: a file with a second group, as of a tachometer, names the groups of all."""
+        named = [channel for name, channel in self._channels.items() if name.rpartition("/")[2] == key]
+        return named[0] if len(named) == 1 else None
 
     def _find_in_file(self, key: str) -> FoundChannel | None:
         pattern, _, name = key.partition("/")

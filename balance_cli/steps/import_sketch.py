@@ -18,7 +18,7 @@ from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
 from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT, TIME
-from balance_cli.steps.sketched_differences import Entries, difference_lines
+from balance_cli.steps.sketched_differences import Entries, base_file, difference_lines
 from balance_cli.steps.sketched_times import empty_times, even_column, time_axis, time_channel, unit_of
 
 FASTEST_GUESS = 2e6
@@ -54,7 +54,7 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
 
 
 def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
-    first = max(files, key=lambda file: sum(len(group.channels) for group in file.groups if not group.unusable))
+    first = base_file(files)
     channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
     times = [group.channels[group.time] for group in first.groups if group.time is not None]
     time = times[0] if times else time_channel(first) or even_column(first)

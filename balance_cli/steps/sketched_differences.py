@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from balance_cli.importers.base import ForeignChannel, ForeignFile
 
 Entries = Mapping[str, tuple[ForeignChannel, str]]
 """Of each channel in the map: the channel, and the name or component that it has there."""
+
+
+def base_file(files: Sequence[ForeignFile]) -> ForeignFile:
+    """The file with most channels, without the names of groups where another file has the same channels without them.
+
+    LabVIEW writes a tachometer into a group of its own, and records without one have a single group.
+    """
+    base = max(files, key=lambda file: len(_names(file)))
+    plain = {name for file in files if file is not base for name in _names(file)}
+    counts = Counter(name.rpartition("/")[2] for name in _names(base))
+
+    def shown(channel: ForeignChannel) -> ForeignChannel:
+        last = channel.name.rpartition("/")[2]
+        return replace(channel, name=last) if last in plain and counts[last] == 1 else channel
+
+    groups = tuple(replace(group, channels=tuple(map(shown, group.channels))) for group in base.groups)
+    return replace(base, groups=groups)
+
+
+def _names(file: ForeignFile) -> list[str]:
+    return [channel.name for group in file.groups if not group.unusable for channel in group.channels]
 
 
 def difference_lines(
@@ -17,7 +40,9 @@ def difference_lines(
 
     Channels that the file does not have are null, and those that it states in another unit have an entry of their own.
     """
-    own = {channel.name: channel for group in file.groups if not group.unusable for channel in group.channels}
+    channels = [channel for group in file.groups if not group.unusable for channel in group.channels]
+    own = {channel.name.rpartition("/")[2]: channel for channel in channels}
+    own |= {channel.name: channel for channel in channels}
     lines = []
     for name, (channel, target) in entries.items():
         if name not in own:

@@ -481,3 +481,25 @@ def test_a_sketch_of_files_that_differ_is_a_map_of_all(tmp_path):
     done = invoke("import", tmp_path / "map.yaml", *files, "-o", tmp_path / "runs")
     assert done.exit_code == 0, done.output
     assert open_run(tmp_path / "runs" / "static-1.h5").read().loads[1, 0] == pytest.approx(9.80665)
+
+
+def test_channels_of_files_with_and_without_a_second_group(tmp_path):
+    """LabVIEW: a tachometer in a group of its own gives all channels of its file the names of their groups."""
+    nptdms = pytest.importorskip("nptdms")
+    rotor = RotorKinematics(17.5, drift=0.0)
+    time, fast = np.arange(4000) / 1000.0, np.arange(40_000) / 10_000.0
+    pulses = 5.0 * ((rotor.azimuth(fast) / (2 * np.pi)) % 1.0 < 0.1)
+    for name, tachometer in (("zero", ()), ("wind", (("speed", "tacho", pulses, 1e-4),))):
+        channels = [
+            nptdms.ChannelObject(group, channel, values, properties={"wf_increment": step, "unit_string": "V"})
+            for group, channel, values, step in (("record", "a", np.cos(rotor.azimuth(time)), 1e-3), *tachometer)
+        ]
+        with nptdms.TdmsWriter(tmp_path / f"{name}-1.tdms") as writer:
+            writer.write_segment(channels)
+    files = [tmp_path / "zero-1.tdms", tmp_path / "wind-1.tdms"]
+    sketch = invoke("import", "--sketch", *files).stdout.replace("rig: TODO", "rig: RTS-6")
+    assert "null" not in sketch and "  a: {" in sketch
+    run_import(tmp_path, yaml.safe_load(sketch), *files)
+    runs = {name: open_run(tmp_path / "runs" / f"{name}-1.h5") for name in ("zero", "wind")}
+    assert runs["zero"].channel_names == runs["wind"].channel_names == ("a",)
+    assert runs["wind"].rotor_speed == pytest.approx(17.5, rel=1e-3)
