@@ -12,6 +12,7 @@ from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, Consiste
 from balance_cli.diagnosis.consistency.severity import contradicts_loads
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_contradiction import flag_by_check_runs
+from balance_cli.reduction.copied_runs import copied_runs, copy_warning, flag_copied_runs
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
@@ -78,9 +79,10 @@ def compare_loads(
 
 def compare_with_other_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
     """Return the loads flagged by what wind runs say of each other, and check runs of all; and the warnings."""
-    comparisons = compare_wind_runs(runs)
-    flagged, contradictions = flag_by_check_runs(flag_turned_runs(runs, comparisons))
-    return flagged, (*turn_warnings(comparisons), *(item.sentence for item in contradictions))
+    comparisons, copies = compare_wind_runs(runs), copied_runs(runs)
+    flagged, contradictions = flag_by_check_runs(flag_turned_runs(flag_copied_runs(runs, copies), comparisons))
+    warnings = (*map(copy_warning, copies), *turn_warnings(comparisons))
+    return flagged, (*warnings, *(item.sentence for item in contradictions))
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:
