@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from balance_cli.exporters.cubes import Cube, cubes_of
-from balance_cli.exporters.tables import csv_text, long_table, wide_table
+from balance_cli.exporters.tables import Columns, csv_text, long_columns, long_table, wide_columns
 from balance_cli.io.artefacts import Artefact
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_output import storable_text
@@ -34,8 +34,8 @@ def export_bytes(artefact: Artefact, format: str, wide: bool) -> bytes:
     if wide and format not in TABLES:
         raise UserError(f"a table in the format {format} is not wide", "--wide", remedy="Write .csv or .parquet")
     writers: dict[str, Callable[[Artefact], bytes]] = {
-        "csv": lambda item: storable_text(csv_text(_table(item.content, wide))).encode(),
-        "parquet": lambda item: _parquet(_table(item.content, wide)),
+        "csv": lambda item: storable_text(csv_text(_columns(item.content, wide))).encode(),
+        "parquet": lambda item: _parquet(item.content, wide),
         "mat": _mat,
         "uff": _uff,
         "nexus": _nexus,
@@ -44,16 +44,19 @@ def export_bytes(artefact: Artefact, format: str, wide: bool) -> bytes:
     return writers[format](artefact)
 
 
-def _table(content: Any, wide: bool) -> Any:
-    return wide_table(content) if wide else long_table(content)
+def _columns(content: Any, wide: bool) -> Columns:
+    return wide_columns(content) if wide else long_columns(content)
 
 
-def _parquet(table: Any) -> bytes:
+def _parquet(content: Any, wide: bool) -> bytes:
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:
         remedy = "Install it: pip install 'balance-cli[formats]'"
         raise UserError("needs the package pyarrow", "format parquet", remedy=remedy) from error
+    import pandas as pd
+
+    table = pd.DataFrame(wide_columns(content)) if wide else long_table(content)
     for name in [str(column) for column in table.columns if table[column].dtype.kind == "c"]:
         values = table.pop(name)
         table[f"{name}_real"], table[f"{name}_imag"] = values.to_numpy().real, values.to_numpy().imag

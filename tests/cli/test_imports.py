@@ -9,6 +9,8 @@ import pytest
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.geometry_file import save_geometry
 from balance_cli.io.artefacts import Provenance, save_artefact
+from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.reduction.result import HubLoads
 
 MADE = Provenance("a-test", {}, (), {}, "2026-01-02T03:04:05+00:00")
 HEAVY = {"scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats", "matplotlib", "pandas"}
@@ -27,6 +29,7 @@ CALLS = {
     "sweep-tf": (("sweep-tf", "-g", "geometry.yaml", "sweep.h5", "-o", "tf.h5"), 195),
     "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 250),
     "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 290),
+    "export": (("export", "made.h5", "-o", "made.csv"), 200),
 }
 """Words of each call, and the modules of the package that it may load: a tenth more than it does."""
 
@@ -40,6 +43,8 @@ def folder(campaign, calibration, identified, tmp_path_factory):
     save_artefact(folder / "model.h5", "balance-model/1", identified, MADE)
     for kind in ("sweep", "wind"):
         write_run(folder / f"{kind}.h5", campaign.runs_of_kind(kind)[0])
+    loads = HubLoads("harmonic", "none", campaign.geometry, {})
+    save_artefact(folder / "made.h5", LOADS_FORMAT, loads, MADE)
     return folder
 
 
