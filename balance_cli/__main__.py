@@ -2,6 +2,7 @@
 
 # Nothing that takes time is imported before the signals are handled: these modules are there when Python starts.
 import _signal  # type: ignore[import-not-found]  # what `signal` wraps, without its enumerations
+import gc
 import os
 import sys
 
@@ -14,6 +15,10 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 # [s]. With the default of 5 ms, threads that alternate short numpy calls wait for each other: 10 % of `diagnose`.
 SWITCH_INTERVAL = 5e-4
+
+# New objects between two searches for cycles among them. Those of imports stay; with the default of 700 these searches
+# are a tenth of the start of a command.
+OBJECTS_BETWEEN_SEARCHES = 50_000
 
 # Options of mallopt(3) and their values: the largest block [bytes] that it allows, ten such blocks, one heap for all
 # threads, as each heap of its own is returned whenever it is empty.
@@ -35,6 +40,7 @@ def main() -> None:
     try:
         if handle:
             _handle_signals()
+        gc.set_threshold(OBJECTS_BETWEEN_SEARCHES)
         from balance_cli.cli import balance
 
         sys.setswitchinterval(SWITCH_INTERVAL)
