@@ -35,6 +35,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.steps.identify import build_identified_model, identified_effects
+from balance_cli.steps.static_series import with_load_series
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -53,7 +54,7 @@ def diagnose(
     model of the paper's form, and without any sweep or any line in the band.
     """
     _check_inputs(model, spectra)
-    spectra, settings = spectra.in_band(model.band), settings.begin()
+    spectra, settings = with_load_series(spectra.in_band(model.band)), settings.begin()
     announce = _Announcer(progress, settings)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)

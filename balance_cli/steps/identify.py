@@ -43,6 +43,7 @@ from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effect
 from balance_cli.model.placed_effects import without_effects
 from balance_cli.model.system import System
 from balance_cli.steps.identify_paper_form import identify_in_paper_form
+from balance_cli.steps.static_series import with_load_series
 
 Array = NDArray[np.float64]
 
@@ -76,7 +77,8 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
     _check_effects(geometry, options)
     if options.form == "paper":
         return identify_in_paper_form(spectra, geometry, _paper_options(options))
-    return replace(_identify_physical_form(spectra.in_band(options.band), geometry, options), band=options.band)
+    spectra = with_load_series(spectra.in_band(options.band))
+    return replace(_identify_physical_form(spectra, geometry, options), band=options.band)
 
 
 def _check_effects(geometry: Geometry, options: IdentifyOptions) -> None:
