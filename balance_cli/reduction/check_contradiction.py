@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.io.percent import percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
-from balance_cli.reduction.flags import MODEL_CONTRADICTED, join_flags
+from balance_cli.reduction.flags import MODEL_CONTRADICTED, NO_ZERO, join_flags
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import MODEL_ERROR_SHARE
 
@@ -35,13 +35,15 @@ class CheckContradiction:
     """What the known loads of a check run contradict: `components` as a whole, with their relative errors.
 
     And `interactions`, loads that were not applied, relative to the largest force that was; `wrong_channels`, what is
-    wrong with one or two channels, where that explains the errors.
+    wrong with one or two channels, where that explains the errors; `means`, components whose mean differs, with the
+    relative error.
     """
 
     run: str
     components: dict[str, float]
     interactions: dict[str, float] = field(default_factory=dict)
     wrong_channels: str | None = None
+    means: dict[str, float] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
@@ -51,7 +53,13 @@ class CheckContradiction:
         parts += [f"{name} by {percent_text(size, 3)} % {none_applied}" for name, size in self.interactions.items()]
         errors = ", ".join(parts)
         cause = self.wrong_channels or "the response lacks something there"
-        return f"reduced loads differ from the known loads of {self.run}, {errors}: {cause}"
+        dynamic = f"reduced loads differ from the known loads of {self.run}, {errors}: {cause}"
+        means = ", ".join(f"{name} by {percent_text(error, 3)} %" for name, error in self.means.items())
+        static = (
+            f"reduced mean loads differ from the stated ones of {self.run}, {means}: the zero record, the "
+            "static matrix or the force cell is wrong there"
+        )
+        return "; ".join(text for text, is_so in ((dynamic, bool(parts)), (static, bool(means))) if is_so)
 
 
 def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[CheckContradiction, ...]]:
@@ -60,7 +68,8 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
     deviations. Where a component as a whole differs by more than a tenth, or one that was not applied has a fifth of
     the largest force, all its harmonics in all runs are flagged; where half of the components do, those of all. Where
-    one or two channels explain it, all loads are flagged: the mean loads rest on them, too.
+    one or two channels explain it, all loads are flagged: the mean loads rest on them, too. A mean that differs from
+    the stated one is flagged in the check run, and by more than a tenth in all runs.
     """
     contradictory, with_wrong_rows = list[CheckContradiction](), False
     for name, loads in runs.items():
@@ -68,8 +77,10 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
             continue
         with_wrong_rows |= bool(_contradicted_rows(loads).any())
         components, interactions = contradicted_components(loads), contradicted_interactions(loads)
-        if components or interactions:
-            contradictory.append(CheckContradiction(name, components, interactions, loads.check.wrong_channels))
+        means = contradicted_means(loads)
+        if components or interactions or means:
+            wrong_channels = loads.check.wrong_channels
+            contradictory.append(CheckContradiction(name, components, interactions, wrong_channels, means))
     contradictions = tuple(contradictory)
     return (_FlaggedRuns(runs, contradictions) if contradictory or with_wrong_rows else runs), contradictions
 
@@ -81,6 +92,7 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
         self._runs = runs
         self._components = {name for item in contradictions for name in (*item.components, *item.interactions)}
         self._has_wrong_channels = any(item.wrong_channels for item in contradictions)
+        self._means = {name for item in contradictions for name, x in item.means.items() if x > MODEL_ERROR_SHARE}
         self._sentences = tuple(item.sentence for item in contradictions)
 
     def __getitem__(self, name: str) -> RunLoads:
@@ -89,6 +101,7 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
         wrong = np.array([component in self._components for component in loads.components])
         # With so many wrong it is the channels, and only the symmetry of a rig or of its loads keeps the others right.
         rows[1:] |= wrong if 2 * np.count_nonzero(wrong) < len(wrong) else True
+        rows[0] |= np.array([component in self._means for component in loads.components])
         rows |= self._has_wrong_channels  # which are those of the mean loads, too
         return replace(_flag_rows(loads, rows), notes=(*loads.notes, *self._sentences)) if rows.any() else loads
 
@@ -131,15 +144,35 @@ def contradicted_interactions(loads: RunLoads) -> dict[str, float]:
 
 
 def _contradicted_rows(loads: RunLoads) -> Mask:
-    """Return which rows (n+1, m) of a check run differ from their known loads; not the mean, which rests on statics."""
+    """Return which rows (n+1, m) of a check run differ from their known loads."""
     if loads.check is None:
         return np.zeros(loads.amplitude.shape, bool)
     applied = loads.check.applied
     known = np.array([name in loads.check.load_error for name in loads.components])
     error = np.abs(loads.amplitude - applied)
     wrong = (error > ROW_ERROR_SHARE * np.abs(applied)) & (error > SIGNIFICANT * np.sqrt(_variance(loads))) & known
-    wrong[0] = False
+    wrong[0] = [name in contradicted_means(loads) for name in loads.components]
     return np.asarray(wrong)
+
+
+def contradicted_means(loads: RunLoads) -> dict[str, float]:
+    """Return the relative error of each mean load of a check run that its stated mean contradicts.
+
+    A force cell that passes no constant load states a mean that is small beside the harmonics, and a record without a
+    zero has the zeros of the channels in it: these contradict nothing.
+    """
+    if loads.check is None:
+        return {}
+    last = min(HARMONICS_COMPARED, len(loads.amplitude) - 1)
+    stated, wrong = np.abs(loads.check.applied[0].real), dict[str, float]()
+    size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : last + 1]) ** 2, axis=0))
+    error = np.abs(loads.amplitude[0].real - loads.check.applied[0].real)
+    for m, name in enumerate(loads.components):
+        is_stated = name in loads.check.load_error and stated[m] > MODEL_ERROR_SHARE * size[m]
+        if is_stated and NO_ZERO not in loads.flags[0][m] and error[m] > SIGNIFICANT * loads.sigma_cosine[0, m]:
+            share = float(error[m] / stated[m])
+            wrong |= {name: share} if share > ROW_ERROR_SHARE else {}
+    return wrong
 
 
 def _variance(loads: RunLoads) -> Array:

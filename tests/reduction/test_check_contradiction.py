@@ -74,6 +74,38 @@ def test_a_single_harmonic_is_flagged_in_the_check_run_alone(loads):
     assert [h for h, row in enumerate(check.flags) if any("contradicted" in flag for flag in row)] == [4]
 
 
+def _with_mean(loads, share, flag=""):
+    """The check run with a stated mean of Fz from which the reduced one departs by a share."""
+    check = next(iter(loads.values()))
+    m = check.components.index("Fz")
+    applied, amplitude = check.check.applied.copy(), check.amplitude.copy()
+    applied[0, m] = 2.0 * np.abs(applied[1:, m]).max()
+    amplitude[0, m] = (1.0 + share) * applied[0, m]
+    first = tuple(flag if i == m else word for i, word in enumerate(check.flags[0]))
+    flags = (first, *check.flags[1:])
+    return {
+        **loads,
+        check.run: replace(check, amplitude=amplitude, flags=flags, check=replace(check.check, applied=applied)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("share", "kinds"), [(0.005, set()), (0.08, {("check", "Fz")}), (-0.3, {("check", "Fz"), ("wind", "Fz")})]
+)
+def test_a_mean_that_differs_from_the_stated_one_is_flagged(loads, share, kinds):
+    """A mean 8 % off its stated load had passed without a flag."""
+    flagged, found = flag_by_check_runs(_with_mean(loads, share))
+    assert _flagged(flagged) == kinds
+    assert not any("contradicted" in flag for run in flagged.values() for row in run.flags[1:] for flag in row)
+    assert [item.means for item in found] == ([{"Fz": pytest.approx(abs(share))}] if kinds else [])
+    if kinds:
+        assert f"stated ones of {found[0].run}, Fz by {100 * abs(share):.0f} %" in found[0].sentence
+
+
+def test_a_record_without_a_zero_has_no_mean_to_compare(loads):
+    assert _flagged(flag_by_check_runs(_with_mean(loads, 0.08, "no zero"))[0]) == set()
+
+
 def test_an_error_within_sigma_contradicts_nothing(loads):
     wrong = next(iter(_with_error(loads, "Fz", 0.3, slice(1, None)).values()))
     wide = replace(wrong, sigma_cosine=wrong.sigma_cosine + 1e3)
