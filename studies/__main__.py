@@ -196,20 +196,22 @@ def filters(seeds: int = 10, jobs: int = 2) -> None:
 
 @studies.command("clean-campaigns")
 @click.option("--campaigns", default=100, show_default=True)
+@click.option("--first", default=0, show_default=True, help="First seed: others are other campaigns.")
 @click.option("--jobs", default=2, show_default=True)
-def clean_campaigns(campaigns: int = 100, jobs: int = 2) -> None:
+def clean_campaigns(campaigns: int = 100, first: int = 0, jobs: int = 2) -> None:
     """Rows that are flagged although nothing is wrong, and coverage, on five rigs."""
-    table = clean_table(run_chunks("clean-campaigns", clean_chunk, range(campaigns), jobs))
+    table = clean_table(run_chunks("clean-campaigns", clean_chunk, range(first, first + campaigns), jobs))
     _write("clean_campaigns", table)
     click.echo(table.to_string(index=False))
 
 
 @studies.command("clean-warnings")
 @click.option("--campaigns", default=100, show_default=True)
+@click.option("--first", default=0, show_default=True, help="First seed: others are other campaigns.")
 @click.option("--jobs", default=2, show_default=True)
-def clean_warnings(campaigns: int = 100, jobs: int = 2) -> None:
+def clean_warnings(campaigns: int = 100, first: int = 0, jobs: int = 2) -> None:
     """Warnings of the commands on clean campaigns of five rigs: all of them are false."""
-    table = warnings_table(run_chunks("clean-warnings", warnings_chunk, range(campaigns), jobs))
+    table = warnings_table(run_chunks("clean-warnings", warnings_chunk, range(first, first + campaigns), jobs))
     _write("clean_warnings", table)
     click.echo(table.to_string(index=False))
 
