@@ -73,7 +73,7 @@ def test_a_small_error_restarts_masses_only():
         state = SearchState(model, theta, {"sweep": error}, 0.0, 0.0)
         return [np.flatnonzero(values != theta) for values in restarted_values(state, DEFAULT_SETTINGS)]
 
-    assert len(restarted(0.1)) == 4 and [place in changed for changed in restarted(0.01)] == [True, True]
+    assert len(restarted(0.1)) == 6 and [place in changed for changed in restarted(0.01)] == [True, True]
 
 
 def test_a_state_that_no_restart_has_improved_is_not_restarted_again(monkeypatch):
@@ -82,6 +82,6 @@ def test_a_state_that_no_restart_has_improved_is_not_restarted_again(monkeypatch
     monkeypatch.setattr(search, "fit_until_stable", lambda *_: stuck)
     monkeypatch.setattr(search, "search_round", lambda *_: RoundResult(None))
     monkeypatch.setattr(search, "restart_if_better", lambda state, *_: restarted.append(state))
-    result = search.search(model, stuck.theta, SearchLines((), ()), lambda what: False, (), DEFAULT_SETTINGS)
+    result = search.search(model, stuck.theta, SearchLines((), ()), lambda what: False, (), (), DEFAULT_SETTINGS)
     assert result.state is stuck
     assert len(restarted) == 1

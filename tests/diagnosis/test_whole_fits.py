@@ -92,10 +92,14 @@ def test_nothing_is_tried_where_little_is_missing():
     assert add_by_whole_fit(state, lines, SETTINGS) == (state, (), {})
 
 
-def test_a_support_as_heavy_and_as_soft_as_the_balance_is_found():
-    """Its own eigenfrequency is that of the balance: the pair of modes is at 0.62 and 1.62 of it (golden ratio)."""
+@pytest.mark.parametrize(("heavier", "softer"), [(1.0, 1.0), (2.0, 10.0)])
+def test_a_support_as_heavy_and_as_soft_as_the_balance_is_found(heavier, softer):
+    """With its own eigenfrequency that of the balance the modes are at 0.62 and 1.62 of it (golden ratio).
+
+    A heavier support on softer springs had ended at the wrong end, stiffer than the cells.
+    """
     stiffness = sum(cell.stiffness for cell in RIG.cells)
-    truth = {"mass": RIG.bodies[0].mass, "compliance_z": 1.0 / stiffness, "damping_ratio": 0.01}
+    truth = {"mass": heavier * RIG.bodies[0].mass, "compliance_z": softer / stiffness, "damping_ratio": 0.01}
     support = DeclaredEffect(name="support-flexibility", where=("z",), parameters=truth)
     lines = lines_of(RIG.model_copy(update={"effects": (support,)}))
     state = fitted_state(lines)
@@ -104,7 +108,7 @@ def test_a_support_as_heavy_and_as_soft_as_the_balance_is_found():
     (label,) = [trial.label for trial in trials if trial.decision == "accepted"]
     assert label.startswith("support-flexibility@z") and found.error < 3 * NOISE
     fitted = dict(zip(found.model.parameters.names, found.theta.tolist(), strict=True))
-    assert fitted[f"{label}.compliance_z"] == pytest.approx(1.0 / stiffness, rel=0.02)
+    assert fitted[f"{label}.compliance_z"] == pytest.approx(softer / stiffness, rel=0.02)
 
 
 def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypatch):

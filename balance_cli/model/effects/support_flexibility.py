@@ -43,8 +43,9 @@ FLOOR = 1e-6
 """Lower bound of masses and compliances in square roots, relative to their scale: zero has no derivative there."""
 START_COMPLIANCE_SHARE = 0.1
 """Compliances from which a search begins, relative to those of the cells: a support is stiffer than the cells."""
-RESTART_COMPLIANCE_SHARE = 0.5
-"""The same where a fit is stuck: a motion that began too stiff may have ended rigid."""
+RESTART_COMPLIANCE_SHARES = (0.5, 5.0)
+"""The same where a fit is stuck: a motion that began too stiff may have ended rigid. A heavy support whose mode is near
+those of the balance is softer than the cells, and a fit from half of their compliance ends stiffer again."""
 START_DEPTH = 0.2
 """Depth of the center below the lowest cell where a search begins, relative to the height of the hub above it."""
 
@@ -179,14 +180,15 @@ def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]
 
 
 def _restarts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
-    """One motion after another as soft as the cells, with the inertia of the metric side; the others stay."""
+    """One motion after another nearly as soft as the cells, or softer, with the inertia of the metric side."""
     stiffness, inertia = stiffness_by_motion(geometry), inertia_by_motion(geometry)
     return tuple(
         {
-            f"compliance_{name}": RESTART_COMPLIANCE_SHARE / stiffness[name],
+            f"compliance_{name}": share / stiffness[name],
             **({} if name in TRANSLATIONS else {_inertia_name(name): inertia[name]}),
         }
         for name in where
+        for share in RESTART_COMPLIANCE_SHARES
     )
 
 
