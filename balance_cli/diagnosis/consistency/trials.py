@@ -161,7 +161,7 @@ def _try(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> Tria
         gains = energies.gains
         supporting = tuple(index for index, gain in zip(members, gains, strict=True) if gain > -SIGNIFICANT)
         if len(supporting) == len(members):
-            passed = energies.pass_test(hypothesis)
+            passed = energies.pass_test(hypothesis) and energies.beside_strongest_line >= 0
             own = energies.by_predictions
             return Trial(hypothesis, members, energies.factor, float(sum(gains)), exceptions, own) if passed else None
         shown = tuple(index for index, gain in zip(members, gains, strict=True) if gain > SIGNIFICANT)
@@ -177,13 +177,18 @@ def _has_sweeps(state: State, members: tuple[int, ...]) -> bool:
 
 @dataclass(frozen=True)
 class _Energies:
-    """Energies (runs, columns) before a mistake is undone, after, and without what it concerns; c channels."""
+    """Energies (runs, columns) before a mistake is undone, after, and without what it concerns; c channels.
+
+    `beside_strongest_line`: what check runs gain by a factor at all lines but that at which they gain most. A line near
+    a mode may be far from what the bands of the sweeps predict, in all channels alike; a factor is one of all lines.
+    """
 
     factor: float
     before: Array
     after: Array
     nothing: Array
     channels: int
+    beside_strongest_line: float
 
     @property
     def gains(self) -> list[float]:
@@ -230,7 +235,23 @@ def _compare(state: State, hypothesis: Hypothesis, members: tuple[int, ...]) -> 
         np.array([part.energy for part in after]),
         np.array([effect.undone.energy for effect in effects]),
         state.channels,
+        sum(
+            _gain_beside_strongest_line(state.runs[index], effect.recorded, part)
+            for index, effect, part in zip(members, effects, after, strict=True)
+            if hypothesis.has_factor and state.runs[index].rows.kind == "check"
+        ),
     )
+
+
+def _gain_beside_strongest_line(run: Evidence, before: Residuals, after: Residuals) -> float:
+    """Return what a run gains by other runs and by pairs of channels, without the line that gains most."""
+    first, second = (np.hstack([part.runs, part.pairs]) for part in (before, after))
+    gains = np.sum(np.abs(first) ** 2 - np.abs(second) ** 2, axis=1)
+    bands, place = np.unique(run.rows.band, return_inverse=True)
+    # A line that lies between two bands is in both.
+    line = np.concatenate([[0], np.cumsum(np.diff(bands) > 1)])[place]
+    by_line = np.bincount(line, gains)
+    return float(by_line.sum() - by_line.max())
 
 
 def energy_after(hypothesis: Hypothesis, run: Evidence, factor: float, weights: Weights) -> float:
