@@ -38,6 +38,9 @@ How to add an effect: [a new effect](new-effect.md). The effects of a simulated 
 """
 
 
+ON_REQUEST = "`diagnose` looks for it only where it is asked to: `--suspect NAME[@PLACE]`.\n"
+
+
 def pages() -> dict[Path, str]:
     """Every page by its path."""
     geometry = load_geometry(EXAMPLE)
@@ -57,6 +60,7 @@ def page(effect: Effect, geometry: Geometry) -> str:
             f"{GENERATED_MARK}\n",
             _paragraph(effect.summary),
             _paragraph(f"Place: {effect.place}. The rig of `configs/{EXAMPLE.name}` has {_count(places)} for it."),
+            *((ON_REQUEST,) if effect.search.on_request else ()),
             "## What it adds\n",
             f"{_formulas(effect)}\n",
             "## Parameters\n",

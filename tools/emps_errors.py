@@ -35,12 +35,16 @@ SETTLED = 200
 
 @dataclass(frozen=True)
 class Axis:
-    """Mass [kg], viscous friction [N s/m], dry friction [N] and offset [N] of the axis at its own time scale."""
+    """Mass [kg], viscous friction [N s/m], dry friction [N] and offset [N] of the axis at its own time scale.
+
+    `difference`: viscous friction of positive minus that of negative speeds [N s/m].
+    """
 
     mass: float
     viscous: float
     friction: float
     offset: float
+    difference: float = 0.0
 
 
 PUBLISHED = Axis(95.1089, 203.5034, 20.3935, -3.1648)
@@ -55,7 +59,8 @@ def identified_axis(model: IdentifiedModel, time_factor: float) -> Axis:
     friction = value.get("dry-friction@x.force", 0.0)
     # The channel reads K q in newtons: an offset of it is one of the load with the other sign.
     offset = value.get("load-offset@Fx.offset", 0.0) - value.get("channel-offset@x.offset", 0.0)
-    return Axis(mass * time_factor**2, viscous * time_factor, friction, offset)
+    difference = value.get("asymmetric-damping@x.difference", 0.0)
+    return Axis(mass * time_factor**2, viscous * time_factor, friction, offset, difference * time_factor)
 
 
 def force_residual(path: Path, axis: Axis) -> float:
@@ -65,7 +70,7 @@ def force_residual(path: Path, axis: Axis) -> float:
     position = sosfiltfilt(butter(4, POSITION_CUTOFF, fs=RATE, output="sos"), content["qm"].ravel())
     speed = np.gradient(position, 1 / RATE)
     model = axis.mass * np.gradient(speed, 1 / RATE) + axis.viscous * speed
-    model = model + axis.friction * np.sign(speed) + axis.offset
+    model = model + axis.friction * np.sign(speed) + axis.offset + 0.5 * axis.difference * np.abs(speed)
     low_pass = butter(4, FORCE_CUTOFF, fs=RATE, output="sos")
     kept = slice(SETTLED, -SETTLED)
     left, whole = (sosfiltfilt(low_pass, signal)[kept] for signal in (force - model, force))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.force_histories import force_histories
 from balance_cli.estimation.shared_solutions import SharedSolutions
-from balance_cli.model.mechanics.equations import CellForce
+from balance_cli.model.mechanics.cell_force import CellForce
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, SpringInputs, extra_forces, volts_of_forces

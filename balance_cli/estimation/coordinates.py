@@ -37,6 +37,8 @@ SCALE_EXPONENT = {
     "rad/(N m)": -1.0,
     "N/m2": 2.0,
     "N/m3": 3.0,
+    "N s2/m2": 2.0,
+    "m/s": -1.0,
 }
 """Exponent of a parameter's growth with the scale of the rig, by its unit: the loads stay, so deflections shrink."""
 

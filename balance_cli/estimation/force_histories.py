@@ -1,9 +1,9 @@
 """Nonlinear forces along the springs as functions of time, computed from the springs' own channels.
 
 The channels of a spring measure its force r = k d + (nonlinear forces inside), and so its elongation d at every
-instant. Hence all forces f(d) are known functions of time. Noise on d matters little: it is small, and f is a small
-part of the load of a cell. Where the anti-alias filter leaves nothing to measure, the motion is that which the forces
-themselves cause.
+instant, and the rate d', whose spectrum is that of d times i w. Hence all forces f(d, d') are known functions of time.
+Noise on d matters little: it is small, and f is a small part of the load of a cell. Where the anti-alias filter leaves
+nothing to measure, the motion is that which the forces themselves cause.
 
 Derivatives are carried through time as dual numbers of the few parameters that influence a spring. While a force is
 zero, only its own strength has a derivative.
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.model.channel_gains import channel_gains, log_gain_derivative
+from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, constant
-from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 from balance_cli.signals.waveform_types import Waveform
@@ -60,18 +60,23 @@ def _histories(
         present = [force for force in forces if force.values.value[0] != 0.0]
         columns = _influencing_parameters(system, spring, present) if derivatives else np.zeros(0, np.intp)
         d = _elongation(waveform, system, unmixed, spring, present, columns)
+        motion = _motion(waveform, d, any(force.needs_rate for force in forces))
+        at_null = replace(motion, elongation=constant(d.value, 0), rate=constant(motion.rate.value, 0))
         for force in forces:
             if force.values.value[0] != 0.0:
-                yield force, d.value, _force_history(force, d, columns, waveform.is_periodic), columns
+                yield force, d.value, force.along(motion, _select_parameters(force.values, columns)), columns
             elif derivatives:
                 own = np.flatnonzero(force.values.derivative[:, 0])
-                shape = force.shape(constant(d.value, 0), constant(force.values.value, 0), waveform.is_periodic).value
+                shape = force.shape(at_null, constant(force.values.value, 0)).value
                 yield force, d.value, Dual(np.zeros_like(shape), force.values.derivative[own, 0, None] * shape), own
 
 
-def _force_history(force: CellForce, d: Dual, columns: Index, is_periodic: bool) -> Dual:
-    values = _select_parameters(force.values, columns)
-    return values[0] * force.shape(d, values, is_periodic)
+def _motion(waveform: Waveform, d: Dual, has_rate: bool) -> CellMotion:
+    """The motion with the elongation d (n,), and with its rate where a force needs it."""
+    if not has_rate:
+        return CellMotion.at_rest(d, waveform.is_periodic)
+    rate = waveform.differentiate(np.concatenate([d.value[:, None], d.derivative.T], axis=1))
+    return CellMotion(d, Dual(rate[:, 0], rate[:, 1:].T), waveform.is_periodic)
 
 
 def _select_parameters(dual: Dual, columns: Index) -> Dual:
@@ -116,10 +121,10 @@ def _elongation(
     value = _solve_elongation(force.value, float(k.value), internal_forces, waveform.is_periodic)
     if np.linalg.norm(force.value - float(k.value) * value) > MAX_INTERNAL_SHARE * np.linalg.norm(force.value):
         raise np.linalg.LinAlgError("nonlinear forces inside a cell are most of its reading")
-    at = constant(value, len(columns))
-    error = k * at - force
+    at = CellMotion.at_rest(constant(value, len(columns)), waveform.is_periodic)
+    error = k * at.elongation - force
     for internal in internal_forces:
-        error = error + _force_history(internal, at, columns, waveform.is_periodic)
+        error = error + internal.along(at, _select_parameters(internal.values, columns))
     stiffness = k.value + _force_and_stiffness(internal_forces, value, waveform.is_periodic)[1]
     return Dual(value, -error.derivative / stiffness)
 
@@ -159,9 +164,9 @@ def _solve_elongation(reading: Array, k: float, internal_forces: Sequence[CellFo
 def _force_and_stiffness(forces: Sequence[CellForce], d: Array, is_periodic: bool) -> tuple[Array, Array]:
     """Sum of forces (n,) that depend on the present elongation d (n,) alone, and its derivative by d."""
     total = constant(np.zeros_like(d), 1)
+    motion = CellMotion.at_rest(Dual(d, np.ones((1, len(d)))), is_periodic)
     for force in forces:
-        values = constant(force.values.value, 1)
-        total = total + values[0] * force.shape(Dual(d, np.ones((1, len(d)))), values, is_periodic)
+        total = total + force.along(motion, constant(force.values.value, 1))
     return total.value, total.derivative[0]
 
 

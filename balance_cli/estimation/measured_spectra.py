@@ -12,6 +12,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.placed_effects import needs_mean
+from balance_cli.signals.channel_shares import add_channel_shares
 from balance_cli.signals.early_taps import prepend_rest
 from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
@@ -22,7 +23,6 @@ from balance_cli.signals.single_force import single_force
 from balance_cli.signals.static_noise import static_points
 from balance_cli.signals.transient_decay import FEWEST_PERIODS
 from balance_cli.signals.waveforms import (
-    add_channel_shares,
     append_mean_and_waveform,
     nonperiodic_spectrum_with_waveform,
 )

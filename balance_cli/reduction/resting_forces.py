@@ -28,8 +28,8 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import read_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import constant
-from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.system import System
 from balance_cli.model.system_response import response, solve, volts_of_forces
 from balance_cli.reduction.mean_loads import MeanLoads
@@ -112,7 +112,7 @@ def _mean_forces(
         if force.held is None:
             at_rest, rest_error = _force_at_rest(force, float(d.mean())), 0.0
             uncertain = mean - at_rest
-            if force.has_kinks:
+            if force.has_kinks and not force.needs_rate:
                 uncertain, (at_rest, rest_error) = mean, calibrated(force)
             strength = force.values.derivative[:, 0]
             error = float(np.sqrt(strength @ source.parameter_covariance @ strength)) / abs(float(values[0]))
@@ -125,9 +125,8 @@ def _mean_forces(
 
 def _force_at_rest(force: CellForce, d: float) -> float:
     """The force [N] at a constant elongation [m]."""
-    values = constant(force.values.value, 0)
-    shape = force.shape(constant(np.array([d]), 0), values, True)
-    return float((values[0] * shape).value[0])
+    motion = CellMotion.at_rest(constant(np.array([d]), 0), is_periodic=True)
+    return float(force.along(motion, constant(force.values.value, 0)).value[0])
 
 
 def _calibrated_force(

@@ -45,6 +45,16 @@ def _hann_weights(n: int) -> Array:
     return np.asarray((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n)
 
 
+def end_to_end_rise(samples: Array) -> Array:
+    """By how much (...) samples (n, ...) rise from the first to one after the last: the values and slopes at the ends.
+
+    Both are means that a signal at half the sample rate does not change: amplitudes do not contain it.
+    """
+    first, last = (0.25 * (part[0] + 2.0 * part[1] + part[2]) for part in (samples[:3], samples[-3:]))
+    slopes = 0.5 * (samples[2] - samples[0]), 0.5 * (samples[-1] - samples[-3])
+    return np.asarray(last - first + 1.5 * (slopes[0] + slopes[1]))
+
+
 @dataclass(frozen=True, eq=False)
 class SampledWaveform:
     """A waveform of `samples` samples whose bins are the lines.
@@ -109,6 +119,26 @@ class SampledWaveform:
         """Amplitudes (F, ...) as a function of time (n, ...), oversampled; at frequency zero twice the mean."""
         n = _fast_length((CONTACT_OVERSAMPLING if is_fine else OVERSAMPLING) * self.samples)
         return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
+
+    def differentiate(self, values: Array) -> Array:
+        """The rate of change (n, ...) [1/s] of a function of time (n, ...), from its spectrum times i w.
+
+        Where nothing repeats, the straight line from end to end is taken out first: the step between its ends would
+        ring through the whole record. Of the samples it takes those at the ends alone, by their sums.
+        """
+        spectrum = np.fft.rfft(values, axis=0)
+        rates = 2j * np.pi * self.frequency[1] * np.arange(len(spectrum))
+        slope = np.zeros(values.shape[1:])
+        if not self.is_periodic:
+            count, bins = len(self.frequency), np.arange(1, len(self.frequency))
+            ends = np.array([0, 1, 2, -3, -2, -1])
+            waves = np.exp(2j * np.pi / self.samples * np.outer(ends, bins))
+            at_ends = (spectrum[0] + 2.0 * np.tensordot(waves, spectrum[1:count], 1)).real / len(values)
+            rise = end_to_end_rise(at_ends)
+            line = len(values) / self.samples / (np.exp(-2j * np.pi / self.samples * bins) - 1.0)
+            spectrum[1:count] -= np.multiply.outer(line, rise)
+            slope = rise * self.frequency[1]
+        return np.asarray(np.fft.irfft((spectrum.T * rates).T, len(values), axis=0)) + slope
 
     def to_amplitudes(self, values: Array) -> ComplexArray:
         """A function of time (n,) as amplitudes (F,), up to the highest frequency of the samples."""

@@ -74,6 +74,10 @@ class StaticWaveform:
         """The values (m, ...) at the points."""
         return np.asarray(amplitudes.real)
 
+    def differentiate(self, values: Array) -> Array:
+        """Zero (m, ...): the rig rests at the points."""
+        return np.zeros_like(values)
+
     def to_amplitudes(self, values: Array) -> ComplexArray:
         """The values (m,) themselves."""
         return values.astype(complex)

@@ -114,6 +114,10 @@ class Waveform(Protocol):
         """Amplitudes (F, ...) as a function of time (n, ...); `is_fine`: for a function of it that has kinks."""
         ...
 
+    def differentiate(self, values: Array) -> Array:
+        """The rate of change (n, ...) [1/s] of a function of time (n, ...)."""
+        ...
+
     def to_amplitudes(self, values: Array) -> ComplexArray:
         """A function of time (n,) as amplitudes (F,)."""
         ...

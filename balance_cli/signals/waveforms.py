@@ -14,23 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.channel_shares import channel_shares
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.periodic import samples_per_period
 from balance_cli.signals.record_mean import delay_free_mean
 from balance_cli.signals.run_samples import load_columns, read_samples, sample_rate
-from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
-from balance_cli.signals.sampled_waveform import RecordWaveform, SampledWaveform
+from balance_cli.signals.run_spectrum import RunSpectrum
+from balance_cli.signals.sampled_waveform import RecordWaveform, SampledWaveform, end_to_end_rise
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Below this many radians per time constant a high-pass channel gets only this fraction of its weight: there the inverse
-# of the high-pass turns the start of the record into a ramp.
-HIGH_PASS_RADIANS = 20.0
-HIGH_PASS_WEIGHT = 1e-9
 # Where the gain of the anti-alias filter is less, amplitudes are set to zero: dividing by it would amplify their noise.
 LEAST_FILTER_GAIN = 0.3
 # Number of neighboring amplitudes whose mean power is compared with the noise, the probability at which noise alone has
@@ -68,9 +64,7 @@ def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -
     lines = _append_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, without_mean, window_factor)
     c = len(lines.channel_names)
     bin_index = np.rint(lines.frequency * n / rate).astype(np.intp)
-    waveform = waveform_from_samples(
-        periods[:, :, :c].mean(axis=0), rate, lines, bin_index, geometry, smoothing_lines=1
-    )
+    waveform = waveform_from_samples(periods[:, :, :c].mean(axis=0), rate, lines, bin_index, geometry, is_periodic=True)
     return replace(lines, waveform=waveform)
 
 
@@ -85,7 +79,7 @@ def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], g
     samples = np.hstack([channels, loads[:, load_columns(local.spectrum.components)]])
     mean, error = delay_free_mean(samples, sample_rate(run), local.spectrum)
     bin_index = np.append(local.bin_index, 0)
-    sampled = waveform_from_samples(channels, sample_rate(run), local.spectrum, bin_index, geometry, SMOOTHING_LINES)
+    sampled = waveform_from_samples(channels, sample_rate(run), local.spectrum, bin_index, geometry, is_periodic=False)
     M = local.weight.shape[1]
     waveform = RecordWaveform(
         **{**vars(sampled), "is_periodic": False},
@@ -102,19 +96,22 @@ def waveform_from_samples(
     lines: RunSpectrum,
     bin_index: NDArray[np.intp],
     geometry: Geometry,
-    smoothing_lines: int,
+    is_periodic: bool,
 ) -> SampledWaveform:
     """The waveform of samples (n, c) at `rate` [Hz], for bins of the given indices (R,).
 
-    Each amplitude is reduced by the fraction of noise in the mean power of `smoothing_lines` amplitudes around it:
-    noise would otherwise pass for reversals of the motion, at which a contact slips.
+    Each amplitude is reduced by the fraction of noise in its power, or in the mean power of those about it:
+    noise would otherwise pass for reversals of the motion, at which a contact slips. The straight line from end to end
+    of a record that does not repeat is left as it is: it has amplitudes at all frequencies.
     """
-    amplitudes, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     n = len(samples)
+    line = np.zeros(samples.shape) if is_periodic else _end_to_end_line(samples)
+    amplitudes, volts, frequency, passed = _undo_anti_alias_filter(samples - line, rate, geometry)
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
-    volts = volts * _wiener_gain(amplitudes, variance, smoothing_lines)
+    smoothing_lines = 1 if is_periodic else SMOOTHING_LINES
+    volts = volts * _wiener_gain(amplitudes, variance, smoothing_lines) + _amplitudes(line)
     share = channel_shares(geometry, lines.channel_names, frequency, variance) * _is_passed(passed)[:, None]
     return SampledWaveform(frequency, volts, share, n, bin_index, passed[bin_index])
 
@@ -126,14 +123,15 @@ def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int
     lines may be distortion, and so motion: the noise is limited to the power at the quietest frequencies.
     N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949.
     """
-    from scipy.ndimage import uniform_filter1d
+    from scipy.ndimage import convolve1d
 
     from balance_cli.signals.distributions import chi2
 
     power, dof = np.abs(amplitudes) ** 2, 2 * smoothing_lines
     if smoothing_lines == 1:
         return np.asarray(np.maximum(1.0 - variance / np.maximum(power, 1e-300), 0.0))
-    power = uniform_filter1d(power, smoothing_lines, axis=0)
+    # A running sum would leave rounding errors of the largest power in the smallest, of either sign.
+    power = convolve1d(power, np.full(smoothing_lines, 1.0 / smoothing_lines), axis=0)
     quiet = np.quantile(power, QUIET_QUANTILE, axis=0) * dof / chi2.ppf(QUIET_QUANTILE, dof)
     ratio = np.minimum(variance, quiet) / np.maximum(power, 1e-300)
     return np.where(ratio * chi2.isf(NOISE_P_VALUE, dof) / dof < 1.0, 1.0 - ratio, 0.0)
@@ -147,9 +145,20 @@ def _undo_anti_alias_filter(
     frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
     passed = anti_alias_response(geometry.acquisition, frequency)
     is_passed = _is_passed(passed)
-    amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
+    amplitudes = _amplitudes(samples)
     volts = np.where(is_passed[:, None], amplitudes / np.where(is_passed, passed, 1.0)[:, None], 0.0)
     return amplitudes, volts, frequency, passed
+
+
+def _amplitudes(samples: Array) -> ComplexArray:
+    """Amplitudes (F, c) of samples (n, c)."""
+    n = len(samples)
+    return np.asarray(np.fft.rfft(samples, axis=0)[: (n + 1) // 2] * (2.0 / n))
+
+
+def _end_to_end_line(samples: Array) -> Array:
+    """The straight line (n, c) by which samples (n, c) rise from end to end."""
+    return np.multiply.outer(np.arange(len(samples)) / len(samples), end_to_end_rise(samples))
 
 
 def _is_passed(filter_response: ComplexArray) -> NDArray[np.bool_]:
@@ -162,7 +171,9 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
 
     The channels of a spring are weighted as if their noises were equal.
     """
-    _, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
+    line = _end_to_end_line(samples)
+    _, volts, frequency, passed = _undo_anti_alias_filter(samples - line, rate, geometry)
+    volts = volts + _amplitudes(line)
     share = channel_shares(geometry, live, frequency, np.ones(len(live))) * _is_passed(passed)[:, None]
     indices = [geometry.channel_names.index(name) for name in live]
     wide = np.zeros((len(volts), len(geometry.channels)), complex)
@@ -171,40 +182,6 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
     return SampledWaveform(
         frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, is_periodic=False
     )
-
-
-def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:
-    """Weights (F, c) of channels of given variance (c,) among those of their spring; zero where all gains are zero."""
-    by_name = {channel.name: channel for channel in geometry.channels}
-    channels = [by_name[name] for name in names]
-    gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
-    weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
-    weight = weight * np.stack([_high_pass_weights(channel, frequency) for channel in channels], axis=1)
-    springs = [channel.source for channel in channels]
-    same_spring = np.array([[a == b for b in springs] for a in springs], float)
-    total = weight @ same_spring
-    return np.asarray(weight / np.where(total > 0, total, 1.0))
-
-
-def _high_pass_weights(channel: Channel, frequency: Array) -> Array:
-    """Factors (F,) of the weights: 1, or `HIGH_PASS_WEIGHT` where a high-pass depends on the start of the record."""
-    if channel.time_constant is None:
-        return np.ones(len(frequency))
-    return np.where(2 * np.pi * frequency * channel.time_constant < HIGH_PASS_RADIANS, HIGH_PASS_WEIGHT, 1.0)
-
-
-def add_channel_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
-    """Add the weight of each channel among those of its spring to the points."""
-    share = channel_shares(geometry, points.channel_names, np.zeros(1), np.diag(points.covariance))[0]
-    return replace(points, share=share)
-
-
-def _declared_gain(channel: Channel, frequency: Array) -> ComplexArray:
-    s = 2j * np.pi * frequency
-    gain = np.full(len(s), channel.sensitivity, complex)
-    if channel.lowpass is not None:
-        gain = gain / (1.0 + s / (2 * np.pi * channel.lowpass))
-    return gain if channel.time_constant is None else gain * s / (s + 1.0 / channel.time_constant)
 
 
 def _ac_coupled_channels(lines: RunSpectrum, geometry: Geometry) -> list[bool]:

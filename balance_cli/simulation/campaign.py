@@ -68,8 +68,8 @@ def _group_by_dynamics(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[t
 
 
 def _record_grids(motion: RigDynamics, plans: Sequence[SampledPlan]) -> list[Grid]:
-    slips = any(force.limit for force in motion.mechanics.forces)
-    return [record_grid(plan, CONTACT_OVERSAMPLING if slips else OVERSAMPLING) for plan in plans]
+    has_kinks = any(force.has_kinks for force in motion.mechanics.forces)
+    return [record_grid(plan, CONTACT_OVERSAMPLING if has_kinks else OVERSAMPLING) for plan in plans]
 
 
 def _check_memory(rig: TrueRig, motion: RigDynamics, plans: Sequence[SampledPlan], grids: Sequence[Grid]) -> None:

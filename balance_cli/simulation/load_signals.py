@@ -29,7 +29,7 @@ OVERSAMPLING = 8
 """Steps of the fine grid per sample; at 800 Hz the interpolation is then exact to 1e-7 up to 200 Hz."""
 
 CONTACT_OVERSAMPLING = 16
-"""The same where a contact slips: the kinks of its force cost accuracy with the square of the step."""
+"""The same where a force has kinks, as that of a contact that slips: they cost accuracy with the square of the step."""
 
 TAIL_SAMPLES = 8
 """Samples computed beyond the end, for channels that run ahead of time (by up to 10 ms at 800 Hz)."""

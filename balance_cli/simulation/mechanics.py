@@ -33,7 +33,9 @@ class MaxwellBranch:
 class NonlinearCellForce:
     """A nonlinear force along a cell: `k2 d^2 + k3 d^3`, a slipping contact of `stick_stiffness` up to `limit` [N].
 
-    Stops of `stop_stiffness` touch on both sides where |d| exceeds `gap`.
+    The limits of the contact are `limit` times 1 + `asymmetry` and 1 - `asymmetry`; its force falls with the rate d' of
+    d, by the factor `fast_share + (1 - fast_share) exp(-(d' / speed)^2)`. Stops of `stop_stiffness` touch on both sides
+    where |d| exceeds `gap`. Dampers: `c2 |d'| d'` and `damping_difference |d'| / 2`.
 
     `read_by_channels`: the force acts inside the cell, whose channels read it; otherwise it acts beside the cell.
     """
@@ -43,9 +45,24 @@ class NonlinearCellForce:
     k3: float = 0.0
     stick_stiffness: float = 0.0
     limit: float = 0.0
+    asymmetry: float = 0.0
+    fast_share: float = 1.0
+    speed: float = 1.0
     stop_stiffness: float = 0.0
     gap: float = 0.0
+    c2: float = 0.0
+    damping_difference: float = 0.0
     read_by_channels: bool = False
+
+    @property
+    def needs_rate(self) -> bool:
+        """Whether the force depends on the rate of elongation."""
+        return self.fast_share != 1.0 or bool(self.c2 or self.damping_difference)
+
+    @property
+    def has_kinks(self) -> bool:
+        """Whether the slope of the force jumps as the motion turns round."""
+        return bool(self.limit or self.damping_difference)
 
 
 @dataclass(frozen=True)
@@ -84,6 +101,11 @@ class Mechanics:
     def sensors(self) -> int:
         """Number of cells, torque meters and accelerometers."""
         return len(self.cell_rows) + len(self.torque_rows) + len(self.accelerometer_rows)
+
+    @property
+    def needs_rates(self) -> bool:
+        """Whether any nonlinear force depends on the rate of elongation."""
+        return any(force.needs_rate for force in self.forces)
 
     @property
     def size(self) -> int:

@@ -30,11 +30,11 @@ class RigDynamics:
 
     @property
     def sensors(self) -> int:
-        """Number of outputs before the elongations: cells, torque meters and accelerometers."""
+        """Number of outputs before the motions: cells, torque meters and accelerometers."""
         return self.mechanics.sensors
 
-    def elongations(self, loads: Array, step: float) -> Array:
-        """Elongations (n, m) where nonlinear forces act, under the hub loads (n, 6) alone."""
+    def motions(self, loads: Array, step: float) -> Array:
+        """Elongations and rates (n, m or 2m) where nonlinear forces act, under the hub loads (n, 6) alone."""
         return self.system.subsystem(slice(self.sensors, None), slice(0, 6)).response(loads, step)
 
     def forces(self, loads: Array, extra: Array, step: float) -> Array:
@@ -47,11 +47,11 @@ class RigDynamics:
 def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) -> list[Array]:
     """Nonlinear forces (n, m) of several runs, from their hub loads (n, 6), integrated for all runs at once."""
     forces = NonlinearForces.from_cell_forces(motion.mechanics.forces)
-    gain = motion.system.static_gain()[motion.sensors :]
+    gain = motion.system.static_gain()[motion.sensors :][: len(motion.mechanics.forces)]
     starts, linear = [], []
     for loads in runs:
         starts.append(solve_rest_state(forces, gain, loads[:1]))
-        linear.append(motion.elongations(loads, step))
+        linear.append(motion.motions(loads, step))
     longest = max(map(len, linear))
     padded = np.stack([np.pad(run, ((0, longest - len(run)), (0, 0)), "edge") for run in linear], axis=1)
     start = RestState(

@@ -8,7 +8,7 @@ multistep method; Hochbruck and Ostermann, Acta Numerica 19, 2010, section 2.6).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -28,47 +28,77 @@ LOAD_SUBSTEPS = 8
 
 @dataclass(frozen=True)
 class NonlinearForces:
-    """m nonlinear forces `k2 d^2 + k3 d^3`, slipping contacts and stops beyond a gap, coefficients (m,) each."""
+    """The coefficients (m,) of m nonlinear forces, each named as in `NonlinearCellForce`."""
 
     k2: Array
     k3: Array
-    stick: Array
+    stick_stiffness: Array
     limit: Array
-    stop: Array
+    asymmetry: Array
+    fast_share: Array
+    speed: Array
+    stop_stiffness: Array
     gap: Array
+    c2: Array
+    damping_difference: Array
 
     @classmethod
     def from_cell_forces(cls, forces: Sequence[NonlinearCellForce]) -> NonlinearForces:
         """The coefficients of all forces."""
-        columns = [(f.k2, f.k3, f.stick_stiffness, f.limit, f.stop_stiffness, f.gap) for f in forces]
-        return cls(*np.array(columns, float).reshape(-1, 6).T)
+        return cls(*(np.array([getattr(force, item.name) for force in forces], float) for item in fields(cls)))
 
-    @property
+    # Asked in each step, and looked up once.
+
+    @cached_property
     def has_springs(self) -> bool:
         """Whether a part of any force depends only on the elongation."""
         return bool(np.any(self.k2) or np.any(self.k3) or self.has_stops)
 
     @cached_property
     def has_stops(self) -> bool:
-        """Whether any force has stops; asked twice in each step, and looked up once."""
-        return bool(np.any(self.stop))
+        """Whether any force has stops."""
+        return bool(np.any(self.stop_stiffness))
+
+    @cached_property
+    def has_dampers(self) -> bool:
+        """Whether a part of any force depends only on the rate."""
+        return bool(np.any(self.c2) or np.any(self.damping_difference))
+
+    @cached_property
+    def has_falling_friction(self) -> bool:
+        """Whether the force of any contact depends on the rate."""
+        return bool(np.any(self.fast_share != 1.0))
 
     def contact(self, d: Array, before: Array, held: Array) -> Array:
-        """Contact forces at elongations d that were `before` when the contacts held the forces `held`."""
-        moved: Array = held + self.stick * (d - before)
-        return np.minimum(np.maximum(moved, -self.limit), self.limit)
+        """Contact forces at rest at elongations d that were `before` when the contacts held the forces `held`."""
+        moved: Array = held + self.stick_stiffness * (d - before)
+        limits = self.limit * (self.asymmetry - 1.0), self.limit * (self.asymmetry + 1.0)
+        return np.minimum(np.maximum(moved, limits[0]), limits[1])
 
     def spring(self, d: Array) -> Array:
         """The part that depends only on the elongation."""
         force: Array = (self.k2 + self.k3 * d) * d * d
         if self.has_stops:
-            force = force + self.stop * (d - np.minimum(np.maximum(d, -self.gap), self.gap))
+            force = force + self.stop_stiffness * (d - np.minimum(np.maximum(d, -self.gap), self.gap))
+        return force
+
+    def total(self, d: Array, rate: Array, contact: Array) -> Array:
+        """The forces at elongations and rates, with the contacts' forces at rest."""
+        force = contact
+        if self.has_falling_friction:
+            force = force * (self.fast_share + (1.0 - self.fast_share) * np.exp(-((rate / self.speed) ** 2)))
+        if self.has_springs:
+            force = force + self.spring(d)
+        if self.has_dampers:
+            force = force + np.abs(rate) * (self.c2 * rate + 0.5 * self.damping_difference)
         return force
 
     def tangent_stiffness(self, d: Array, before: Array, held: Array) -> Array:
-        """Derivative of the total force with respect to d."""
-        sticks = np.abs(held + self.stick * (d - before)) < self.limit
-        contacts = np.where(sticks, self.stick, 0.0) + np.where(np.abs(d) > self.gap, self.stop, 0.0)
+        """Derivative of the total force at rest with respect to d."""
+        moved = held + self.stick_stiffness * (d - before)
+        sticks = np.abs(moved - self.limit * self.asymmetry) < self.limit
+        contacts = np.where(sticks, self.stick_stiffness, 0.0)
+        contacts += np.where(np.abs(d) > self.gap, self.stop_stiffness, 0.0)
         tangent_stiffness: Array = (2 * self.k2 + 3 * self.k3 * d) * d + contacts
         return tangent_stiffness
 
@@ -117,7 +147,8 @@ def solve_rest_state(forces: NonlinearForces, gain: Array, loads: Array) -> Rest
 class _Stepper:
     """One step of the linear rig under nonlinear forces: `[z, e] <- [z, f0, f-1, f-2] step + f1 (ahead, reach)`.
 
-    z (2p) are the real and imaginary parts of the modal states, e (m) the elongations that the forces cause.
+    z (2p) are the real and imaginary parts of the modal states, e (m or 2m) the elongations that the forces cause, and
+    their rates.
     """
 
     step: Array
@@ -151,26 +182,27 @@ def integrate_nonlinear_forces(
 ) -> Array:
     """Nonlinear forces (n, runs, m) of several records at once.
 
-    `system` takes these forces to elongations; `linear` (n, runs, m) are the elongations under the hub loads alone;
-    `start` is the state of rest (runs, m) from which the records begin.
+    `system` takes these forces to elongations, and to rates where a force needs them; `linear` (n, runs, m or 2m) are
+    those under the hub loads alone; `start` is the state of rest (runs, m) from which the records begin.
     """
     stepper = _Stepper.from_system(system, step)
     width = 2 * len(system.poles)
-    m = linear.shape[2]
-    slips, springs = bool(np.any(forces.limit)), forces.has_springs
+    m = len(forces.limit)
+    slips = bool(np.any(forces.limit))
     state = np.hstack([_equilibrium_states(system, start.force), start.force, start.force, start.force])
     d, force, held = start.elongation, start.force, start.contact
-    result = np.empty_like(linear)
+    result = np.empty((len(linear), *force.shape))
     result[0] = force
     for k in range(1, len(linear)):
         ahead = state @ stepper.step
         base = ahead[:, width:] + linear[k]
         before, contact, after = d, held, force
         for _ in range(CORRECTOR_ITERATIONS):
-            d = base + after @ stepper.reach
+            motion = base + after @ stepper.reach
+            d = motion[:, :m]
             if slips:
                 held = forces.contact(d, before, contact)
-            after = forces.spring(d) + held if springs else held
+            after = forces.total(d, motion[:, m:], held)
         force = after
         result[k] = force
         state[:, width + m :] = state[:, width:-m]

@@ -34,7 +34,7 @@ def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, roto
     has_exciters = kind in KINDS_WITH_LOADS
     attached = [name for name, load in zip(COMPONENTS, loads.T, strict=True) if has_exciters and np.any(load)]
     mechanics = equations_of_motion(rig, rotor_speed, attached)
-    oversampling = CONTACT_OVERSAMPLING if any(force.limit for force in mechanics.forces) else OVERSAMPLING
+    oversampling = CONTACT_OVERSAMPLING if any(force.has_kinks for force in mechanics.forces) else OVERSAMPLING
     step = 1.0 / (oversampling * sample_rate)
     taps = 2 * HALF_LENGTH * oversampling + 1
     kernel = firwin(taps, 1.0 / oversampling, window=("kaiser", KAISER_SHAPE))

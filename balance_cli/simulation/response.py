@@ -55,20 +55,22 @@ def force_matrix(mechanics: Mechanics) -> Array:
     return C
 
 
-def elongation_matrix(mechanics: Mechanics) -> Array:
-    """Rows (m, 2n+b): elongation of the cell of every nonlinear force."""
+def motion_matrix(mechanics: Mechanics) -> Array:
+    """Rows (m or 2m, 2n+b): elongation of the cell of every nonlinear force, then the rates of these where needed."""
+    n, b = mechanics.size, len(mechanics.branches)
     rows = mechanics.cell_rows[[force.cell for force in mechanics.forces]]
-    return np.pad(rows, ((0, 0), (0, mechanics.size + len(mechanics.branches))))
+    elongations = np.pad(rows, ((0, 0), (0, n + b)))
+    return np.vstack([elongations, np.roll(elongations, n, axis=1)]) if mechanics.needs_rates else elongations
 
 
 def full_system(mechanics: Mechanics) -> ModalSystem:
-    """Cell forces, torques, accelerations and elongations (c+t+a+m) from hub loads and m nonlinear forces (6+m)."""
+    """Cell forces, torques, accelerations and motions (c+t+a+m or 2m) from hub loads and m nonlinear forces (6+m)."""
     A, B = state_matrix(mechanics), input_matrix(mechanics)
     n, rows = mechanics.size, mechanics.accelerometer_rows.reshape(-1, mechanics.size)
-    forces, elongations = force_matrix(mechanics), elongation_matrix(mechanics)
-    direct = np.zeros((len(forces) + len(rows) + len(elongations), B.shape[1]))
+    forces, motions = force_matrix(mechanics), motion_matrix(mechanics)
+    direct = np.zeros((len(forces) + len(rows) + len(motions), B.shape[1]))
     direct[len(forces) : len(forces) + len(rows)] = rows @ B[n : 2 * n]
-    return modal_system(A, B, np.vstack([forces, rows @ A[n : 2 * n], elongations]), direct)
+    return modal_system(A, B, np.vstack([forces, rows @ A[n : 2 * n], motions]), direct)
 
 
 def forces_read_by_channels(mechanics: Mechanics, extra: Array) -> Array:

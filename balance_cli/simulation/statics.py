@@ -41,6 +41,7 @@ def static_forces(mechanics: Mechanics, loads: Array) -> Array:
     cells = mechanics.sensors
     if not mechanics.forces:
         return np.asarray(loads @ gain.T)
-    extra = solve_rest_state(NonlinearForces.from_cell_forces(mechanics.forces), gain[cells:], loads).force
-    forces: Array = np.hstack([loads, extra]) @ gain[:cells].T + forces_read_by_channels(mechanics, extra)
-    return forces
+    forces, flexibility = NonlinearForces.from_cell_forces(mechanics.forces), gain[cells:][: len(mechanics.forces)]
+    extra = solve_rest_state(forces, flexibility, loads).force
+    read: Array = np.hstack([loads, extra]) @ gain[:cells].T + forces_read_by_channels(mechanics, extra)
+    return read

@@ -247,6 +247,16 @@ def dry_friction(truth: Truth, rng: np.random.Generator) -> Hidden:
     return beside(truth, law, f"dry-friction@c{i + 1}", {"force": force})
 
 
+def square_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A damper beside a cell whose force grows with the square of the velocity."""
+    i = int(rng.integers(0, len(truth.rig.stiffness)))
+    middle = 2 * np.pi * float(np.exp(np.mean(np.log(truth.rig.modes))))
+    d = largest_elongation(truth)
+    c = truth.rig.stiffness[i] / (middle**2 * d) * float(np.exp(rng.uniform(*np.log([0.01, 0.1]))))
+    law = Law(i, lambda d, state: np.zeros_like(d), damping=lambda v: c * np.abs(v) * v)
+    return beside(truth, law, f"quadratic-damping@c{i + 1}", {"c2": c})
+
+
 def free_play(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A stop beside a cell that is reached at large motions only."""
     i, gap = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth) * rng.uniform(0.1, 0.3)

@@ -128,16 +128,6 @@ def missing_codes(truth: Truth, rng: np.random.Generator) -> Hidden:
     return Hidden("", {}, replace(truth, converter={i: converted}))
 
 
-def square_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: a damper beside a cell whose force grows with the square of the velocity."""
-    i = int(rng.integers(0, len(truth.rig.stiffness)))
-    middle = 2 * np.pi * float(np.exp(np.mean(np.log(truth.rig.modes))))
-    d = largest_elongation(truth)
-    c = truth.rig.stiffness[i] / (middle**2 * d) * float(np.exp(rng.uniform(*np.log([0.01, 0.1]))))
-    law = Law(i, lambda d, state: np.zeros_like(d), damping=lambda v: c * np.abs(v) * v)
-    return beside(truth, law, "", {})
-
-
 def stribeck_seal(truth: Truth, rng: np.random.Generator) -> Hidden:
     """Unknown: a seal beside a cell whose friction falls with the velocity."""
     i, d = int(rng.integers(0, len(truth.rig.stiffness))), largest_elongation(truth)
@@ -179,7 +169,6 @@ UNKNOWN: tuple[Cause, ...] = (
     loosened_bolt,
     common_supply,
     missing_codes,
-    square_damping,
     stribeck_seal,
     hardening_support,
 )

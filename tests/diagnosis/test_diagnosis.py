@@ -37,7 +37,7 @@ from balance_cli.estimation.starting_values import start_from_equations_of_motio
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS
-from balance_cli.model.effects.dry_friction import LEAST_FORCE_SHARE, STIFFNESS_BOUNDS
+from balance_cli.model.effects.contact import LEAST_FORCE_SHARE, STIFFNESS_BOUNDS
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS, static_plans

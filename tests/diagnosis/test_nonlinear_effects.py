@@ -11,7 +11,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
-from balance_cli.model.effects.dry_friction import find_last_slip
+from balance_cli.model.effects.contact import find_last_slip
 from balance_cli.model.fitted_effects import declare_fitted_effects
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.reduction.model_sources import model_source

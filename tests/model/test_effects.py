@@ -154,6 +154,20 @@ TRUTHS = {
     # The elongations at which a contact turns round are read with noise: its force is off by 0.1 to 1 %, depending on
     # the record. Its sigma, which knows of the noise on the lines alone, is 0.05 to 0.08 % here.
     "dry-friction": truth("dry-friction", ("x",), plan=campaign(), force=0.5, stick_stiffness=1.5e6, bias=0.005),
+    "stribeck-friction": truth(
+        *("stribeck-friction", ("x",)),
+        plan=campaign(),
+        force=0.4,
+        static_force=0.8,
+        speed=1e-3,
+        stick_stiffness=1.5e6,
+        bias=0.005,
+    ),
+    "asymmetric-friction": truth(
+        "asymmetric-friction", ("x",), plan=campaign(), force=0.5, asymmetry=0.3, stick_stiffness=1.5e6, bias=0.005
+    ),
+    "quadratic-damping": truth("quadratic-damping", ("x",), plan=campaign(), c2=1000.0),
+    "asymmetric-damping": truth("asymmetric-damping", ("x",), plan=campaign(), difference=20.0),
     "extra-mode": TrueEffect(
         ("Fx",),
         {},

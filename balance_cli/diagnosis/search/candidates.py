@@ -82,7 +82,7 @@ def parameters_of_interest(parameters: tuple[EffectParameter, ...]) -> tuple[Eff
 
 
 def candidates(geometry: Geometry, empirical: bool = False, excluded: Collection[str] = ()) -> tuple[Candidate, ...]:
-    """All candidates that the effects of the geometry leave; empirical ones only if asked for.
+    """All candidates that the effects of the geometry leave; empirical ones only if asked for, those on request never.
 
     `excluded`: names of effects, or names with the first part of a place (`NAME@CELL`), that are none.
     """
@@ -91,6 +91,8 @@ def candidates(geometry: Geometry, empirical: bool = False, excluded: Collection
     pool = []
     for effect in effects.EFFECTS:
         if (effect.empirical and not empirical) or (effect.search.at_most_once and effect.name in names):
+            continue
+        if effect.search.on_request:
             continue
         places = (effect.search.places or effect.places)(geometry)
         pool += [

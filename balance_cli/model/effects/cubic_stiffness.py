@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import INSIDE, SIDE, Where, each_cell_and_side
+from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
-from balance_cli.model.mechanics.equations import CellForce, Equations
+from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -29,7 +30,8 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return equations.with_force(CellForce(spring, stack([values["k3"]]), _cubic_force, side == INSIDE))
 
 
-def _cubic_force(d: Dual, values: Dual, is_periodic: bool) -> Dual:
+def _cubic_force(motion: CellMotion, values: Dual) -> Dual:
+    d = motion.elongation
     return d * d * d
 
 

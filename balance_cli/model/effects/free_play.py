@@ -17,8 +17,9 @@ from balance_cli.campaign.rig.geometry import Cell, Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints, Start
+from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
-from balance_cli.model.mechanics.equations import CellForce, Equations
+from balance_cli.model.mechanics.equations import Equations
 
 RELEVANT_STIFFNESS = 1e-3
 """Stiffness of a stop that matters, relative to that of the cell."""
@@ -56,8 +57,9 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return equations.with_force(force)
 
 
-def _beyond_gap(d: Dual, values: Dual, is_periodic: bool) -> Dual:
+def _beyond_gap(motion: CellMotion, values: Dual) -> Dual:
     """By how much the elongation exceeds the gap (n,)."""
+    d = motion.elongation
     side = np.sign(d.value) * (np.abs(d.value) > values.value[1])
     beyond: Dual = d * np.abs(side) - values[1] * side
     return beyond

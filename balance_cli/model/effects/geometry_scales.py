@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import FREEDOMS
-from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.campaign.rig.rig_scales import inertia_by_motion
+from balance_cli.campaign.rig.geometry import Cell, Geometry
+from balance_cli.campaign.rig.rig_scales import inertia_by_motion, rig_frequency
 from balance_cli.model.effects.base import EffectParameter
 
 Array = NDArray[np.float64]
@@ -63,6 +63,11 @@ def rig_length(geometry: Geometry) -> float:
     inertia = inertia_by_motion(geometry)
     gyration = np.sqrt(max(inertia[name] for name in FREEDOMS[3:]) / inertia["z"])
     return _largest_distance(geometry) or float(gyration) or 1.0
+
+
+def cell_speed(geometry: Geometry, cell: Cell) -> float:
+    """The speed [m/s] of a cell that moves through its range at the frequency in the middle of the rig's modes."""
+    return 2.0 * np.pi * rig_frequency(geometry) * cell.full_range / cell.effective_stiffness
 
 
 def load_range(geometry: Geometry, component: str) -> float:

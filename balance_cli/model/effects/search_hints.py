@@ -106,6 +106,7 @@ class SearchHints:
     - `channel_ratio`: the difference between two channels of one cell that the effect explains.
     - `point_mass`: the effect is a point mass, which can be scored at all positions at once.
     - `tone`: the effect is a tone, whose frequency is searched over the lobes of the spectrum.
+    - `on_request`: the search tries it only where a user asks for it.
     - `alike_in_all`: the effect that looks the same where this one acts on all channels.
     """
 
@@ -122,3 +123,4 @@ class SearchHints:
     point_mass: PointMassParameters | None = None
     tone: ToneParameters | None = None
     alike_in_all: CommonAlternative | None = None
+    on_request: bool = False

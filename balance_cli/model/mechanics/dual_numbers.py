@@ -99,6 +99,11 @@ class Dual:
         value: Array = np.sqrt(self.value)
         return Dual(value, 0.5 * self.derivative / value)
 
+    def exp(self) -> Dual:
+        """Exponential, element by element."""
+        value: Array = np.exp(self.value)
+        return Dual(value, self.derivative * value)
+
     def insert_axis(self, axis: int) -> Dual:
         """A new axis of length one; `axis` counts as in the value, negative from its end."""
         shape = list(self.value.shape)

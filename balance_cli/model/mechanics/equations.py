@@ -14,9 +14,9 @@ A flexible part is regular where it does nothing only if its compliance, not its
 equations are therefore multiplied by the compliance (`row_factor`), and its spring is a one on the diagonal
 (`own_stiffness`): c (m q'' + d q' + ...) + q = c F u, which for c = 0 reads q = 0.
 
-A force along a spring that is nonlinear in its elongation d = E q enters as an input like a load, -E' f(d), because
-d is known: the spring's channels measure it (`CellForce`). In the same way a channel that is nonlinear tells by its own
-reading what it adds to that of a linear one (`ChannelDistortion`).
+A force along a spring that is nonlinear in its elongation d = E q or in the rate of it enters as an input like a load,
+-E' f(d, d'), because both are known: the spring's channels measure d (`CellForce`). In the same way a channel that is
+nonlinear tells by its own reading what it adds to that of a linear one (`ChannelDistortion`).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.kinematics import MOTION_AT_CENTER, MOTION_PER_ARM, motion_at
+from balance_cli.model.mechanics.cell_force import CellForce
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
 
 Array = NDArray[np.float64]
@@ -82,26 +83,6 @@ class PointMotion:
     position: Array
     direction: Array
     on_metric_side: bool
-
-
-@dataclass(frozen=True)
-class CellForce:
-    """A force along a spring, f = strength * shape(d), that is nonlinear in the elongation d [m].
-
-    `values` (q,): the strength, zero where there is no such force, then the parameters of the shape. `shape` takes
-    d (n,) over time, the values, and whether the n elongations are periodic (otherwise the spring was unloaded before
-    the first). `read`: the force acts inside the cell, whose channels read it; beside the cell they do not.
-    `held`, of a force with a memory: the largest size [N] that it may keep at rest, by the values (q,) and by the
-    distance [m] through which d has moved since nobody knew it; None of forces that d alone determines. `has_kinks`:
-    its slope jumps, so that its spectrum is wide.
-    """
-
-    spring: int
-    values: Dual
-    shape: Callable[[Dual, Dual, bool], Dual]
-    read: bool
-    held: Callable[[Array, float], float] | None = None
-    has_kinks: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Effects in the cells: nonlinear springs, stops, slipping contacts, damping, place and transverse stiffness."""
+"""Effects in the cells: their axis and place, transverse stiffness and damping."""
 
 from __future__ import annotations
 
@@ -10,90 +10,10 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import rig_frequency
-from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.mechanics import MaxwellBranch, Mechanics, NonlinearCellForce
+from balance_cli.simulation.mechanics import MaxwellBranch, Mechanics
 
 Array = NDArray[np.float64]
-INSIDE, BESIDE = "inside", "beside"
-
-
-def read_by_channels(side: str) -> bool:
-    """Whether the cell's channels read a force on this `side`. Raises UserError for an unknown side."""
-    if side not in (INSIDE, BESIDE):
-        raise UserError(f"`side` is `{side}`, not `{INSIDE}` or `{BESIDE}`", place="effects")
-    return side == INSIDE
-
-
-def _with_forces(
-    extension: Extension, mechanics: Mechanics, geometry: Geometry, force: NonlinearCellForce
-) -> Mechanics:
-    cells = extension.places(geometry.cell_names)
-    return replace(mechanics, forces=mechanics.forces + tuple(replace(force, cell=cell) for cell in cells))
-
-
-@dataclass(frozen=True)
-class CubicStiffness(Extension):
-    """A force `k3 d^3` [N/m3] along the cell; `inside` it, its channels read it, `beside` it they do not."""
-
-    name: ClassVar[str] = "cubic-stiffness"
-    k3: float = 0.0
-    side: str = INSIDE
-
-    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """The equations with the force at every place."""
-        return _with_forces(
-            self, mechanics, geometry, NonlinearCellForce(0, k3=self.k3, read_by_channels=read_by_channels(self.side))
-        )
-
-
-@dataclass(frozen=True)
-class QuadraticStiffness(Extension):
-    """A force `k2 d^2` [N/m2] along the cell; `inside` it, its channels read it, `beside` it they do not."""
-
-    name: ClassVar[str] = "quadratic-stiffness"
-    k2: float = 0.0
-    side: str = INSIDE
-
-    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """The equations with the force at every place."""
-        return _with_forces(
-            self, mechanics, geometry, NonlinearCellForce(0, k2=self.k2, read_by_channels=read_by_channels(self.side))
-        )
-
-
-@dataclass(frozen=True)
-class FreePlay(Extension):
-    """Stops beside the cell, each a spring `stiffness` [N/m], that touch where the elongation exceeds `gap` [m]."""
-
-    name: ClassVar[str] = "free-play"
-    stiffness: float = 0.0
-    gap: float = 0.0
-
-    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """The equations with the stops at every place. Raises UserError for a negative gap or stiffness."""
-        if self.stiffness < 0.0 or self.gap < 0.0:
-            fault = f"`{self.name}` needs `stiffness` and `gap` of at least 0"
-            raise UserError(fault, place="effects", remedy="Give both, in N/m and m")
-        stops = NonlinearCellForce(0, stop_stiffness=self.stiffness, gap=self.gap)
-        return _with_forces(self, mechanics, geometry, stops)
-
-
-@dataclass(frozen=True)
-class DryFriction(Extension):
-    """A slipping contact beside the cell: a spring `stick_stiffness` [N/m] that slips at `force` [N] (Jenkins)."""
-
-    name: ClassVar[str] = "dry-friction"
-    force: float = 0.0
-    stick_stiffness: float = 0.0
-
-    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """The equations with the contact at every place. Raises UserError where the contact has no spring."""
-        if self.stick_stiffness <= 0.0 or self.force < 0.0:
-            fault = f"`{self.name}` needs `force` of at least 0 and `stick_stiffness` above 0"
-            raise UserError(fault, place="effects", remedy="Give both, in N and N/m")
-        contact = NonlinearCellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
-        return _with_forces(self, mechanics, geometry, contact)
 
 
 def transverse_axes(axis: Array) -> tuple[Array, Array]:

@@ -15,10 +15,6 @@ from balance_cli.simulation.extensions.cells import (
     CellDashpot,
     CellMisalignment,
     CellPosition,
-    CubicStiffness,
-    DryFriction,
-    FreePlay,
-    QuadraticStiffness,
     StructuralDamping,
     TransverseStiffness,
     ViscousDamping,
@@ -31,6 +27,16 @@ from balance_cli.simulation.extensions.loads import (
     LoadGain,
     LoadOffset,
     WeightMisalignment,
+)
+from balance_cli.simulation.extensions.nonlinear_cells import (
+    AsymmetricDamping,
+    AsymmetricFriction,
+    CubicStiffness,
+    DryFriction,
+    FreePlay,
+    QuadraticDamping,
+    QuadraticStiffness,
+    StribeckFriction,
 )
 from balance_cli.simulation.extensions.signals import (
     ChannelGain,
@@ -68,6 +74,10 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     QuadraticStiffness,
     FreePlay,
     DryFriction,
+    StribeckFriction,
+    AsymmetricFriction,
+    QuadraticDamping,
+    AsymmetricDamping,
     ExciterMass,
     ExciterMisalignment,
     ExciterPosition,
