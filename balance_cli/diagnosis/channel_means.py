@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.model.mechanics.equations import CellForce
+from balance_cli.estimation.cell_forces import record_force_histories
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.model.mechanics.cell_force import CellForce
 from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, volts_of_forces
 from balance_cli.signals.run_spectrum import RunSpectrum
@@ -110,6 +112,26 @@ class MeanRegression:
             if size > 0.0:
                 shares.append(float(column @ self.residual) ** 2 / size)
         return max(shares) / max(float(self.residual @ self.residual), np.finfo(float).tiny)
+
+
+def force_means(runs: Sequence[RunSpectrum], system: System, at_rest: Solution) -> Array:
+    """Return the means [V] (R, C) that forces which the motion determines add to those of the runs that have means."""
+    with_mean = [run for run in runs if (run.frequency == 0).any()]
+    shift = np.zeros((len(with_mean), len(system.channel_names)))
+    if not system.equations.has_nonlinear_terms:
+        return shift
+    acting, read = (each[0].real for each in volts_of_forces(system, at_rest))
+    for row, run in zip(shift, with_mean, strict=True):
+        (batch,) = stack_runs((run,), (), system.channel_names)
+        waveform = batch.runs[0].waveform
+        if waveform is None:
+            continue
+        for force, _, through_time in record_force_histories(waveform, system, batch.spin):
+            if force.held is None:
+                # The last bin is twice the mean.
+                mean = 0.5 * waveform.to_bins(through_time)[-1].real
+                row += mean * (acting[:, force.spring] + (read[:, force.spring] if force.read else 0.0))
+    return shift
 
 
 def contact_columns(system: System, means: ChannelMeans, at_rest: Solution, contacts: Sequence[CellForce]) -> Array:

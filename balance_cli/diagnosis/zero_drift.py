@@ -7,9 +7,9 @@ The mean of a swept record is that of its loads through the static response, and
 with a zero z_c and a load offset o_j that are the same in all runs. Where the e of a channel scatter more than their
 noise, its zero drifts. Its variance then belongs to the means, so that no effect explains what is none. The
 quadratic force of a cell shifts means, too, but in proportion to the power of its motion, and in the channels of the
-whole plate: where one such cell describes most of what is left, it is left to the search. A dry contact rests in each
-run with another force, which shifts the means alike: once the search has found one, what it describes of a drift is
-named as its own.
+whole plate: where one such cell describes most of what is left, it is left to the search. Other forces shift means in
+other ways. Once the search has found one, the means that it has by the motion are no drift; a dry contact, which rests
+with another force in each run, is named as what may drift in place of the zeros.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from balance_cli.diagnosis.channel_means import (
     cell_patterns,
     channel_means,
     contact_columns,
+    force_means,
     shared_columns,
 )
 from balance_cli.diagnosis.data_test_settings import DataTestSettings
@@ -136,17 +137,22 @@ def find_zeros(system: System, spectra: Spectra, settings: DataTestSettings) -> 
     return Zeros(_clear_offsets(regression, sweep_means.tested, sweep_means.names, settings) if is_clear else {}, drift)
 
 
-def share_with_contacts(
+def share_with_forces(
     drift: ZeroDrift | None, system: System, spectra: Spectra, settings: DataTestSettings
 ) -> ZeroDrift | None:
-    """Return a drift with the part that dry contacts of the updated system describe, where that is most of it.
+    """Return what forces of the updated system leave of a drift, with the part that dry contacts describe.
 
-    In each run a contact holds a force of its own, the same for all channels. `spectra` are those without the drift.
+    The means that the motion determines are known. In each run a contact holds a force of its own, the same for all
+    channels; it is named where that is most of the drift. `spectra` are those without the drift.
     """
     contacts = tuple(force for force in system.equations.forces if force.held is not None)
-    if drift is None or not contacts:
+    if drift is None or not system.equations.forces:
         return drift
     sweep_means = _SweepMeans.of(system, spectra, settings)
+    if len(contacts) < len(system.equations.forces):
+        drift = sweep_means.drift(sweep_means.regression(sweep_means.columns), settings)
+    if drift is None or not contacts:
+        return drift
     held = contact_columns(system, sweep_means.means, sweep_means.at_rest, contacts)
     without, beside = (
         sweep_means.regression(sweep_means.columns),
@@ -161,7 +167,7 @@ def share_with_contacts(
 
 @dataclass(frozen=True)
 class _SweepMeans:
-    """Means of the sweeps, without those of their loads, and what all runs share.
+    """Means of the sweeps, without those of their loads and of forces by the motion, and what all runs share.
 
     `names` of the C channels, `tested` (C,) those with means in enough runs; `columns` (p, R, C); `volts` and their
     `variance` (R, C) with the error of the response, infinite where they take no part; `static_sigma` (C,) of a static
@@ -186,7 +192,8 @@ class _SweepMeans:
         tested = np.isfinite(means.variance).sum(axis=0) >= limits.min_runs
         variance = means.variance + (limits.response_error * np.abs(means.loads) @ np.abs(T).T) ** 2
         variance[:, ~tested] = np.inf
-        columns, volts = shared_columns(T, means, tested), means.volts - means.loads @ T.T
+        columns = shared_columns(T, means, tested)
+        volts = means.volts - means.loads @ T.T - force_means(spectra.lines, system, at_rest)
         return cls(names, means, at_rest, tested, columns, volts, variance, _static_sigma(spectra, names))
 
     def regression(self, columns: Array) -> MeanRegression:

@@ -171,9 +171,7 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
 
     The channels of a spring are weighted as if their noises were equal.
     """
-    line = _end_to_end_line(samples)
-    _, volts, frequency, passed = _undo_anti_alias_filter(samples - line, rate, geometry)
-    volts = volts + _amplitudes(line)
+    _, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     share = channel_shares(geometry, live, frequency, np.ones(len(live))) * _is_passed(passed)[:, None]
     indices = [geometry.channel_names.index(name) for name in live]
     wide = np.zeros((len(volts), len(geometry.channels)), complex)

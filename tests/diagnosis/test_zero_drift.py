@@ -14,7 +14,7 @@ from balance_cli.diagnosis.zero_drift import (
     add_drift_variance,
     find_zeros,
     judge_zero_drift,
-    share_with_contacts,
+    share_with_forces,
 )
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
@@ -126,15 +126,18 @@ def test_everyday_zeros_leave_the_verdict_of_a_sound_rig(runs):
     assert all(effect.is_of_no_consequence for effect in result.effects)
 
 
-def with_cell_forces(runs, cell, sigma, seed=4):
+def random_forces(runs, sigma, seed=4):
+    """A force [N] of each run."""
+    return sigma * np.random.default_rng(seed).normal(size=len(runs))
+
+
+def with_cell_forces(runs, cell, forces):
     """The runs with a constant force [N] beside a cell, another in each sweep, as the loads that it amounts to."""
-    rng = np.random.default_rng(seed)
     spring = next(each for each in RIG.cells if each.name == cell)
     axis, lever = np.array(spring.axis), np.subtract(spring.position, RIG.hub)
     per_newton = response(SYSTEM, solve(SYSTEM, np.zeros(1)))[0].real @ np.concatenate([axis, np.cross(lever, axis)])
     changed = []
-    for run in runs:
-        force = sigma * rng.normal()
+    for run, force in zip(runs, forces, strict=True):
         for name, volts in zip(RIG.channel_names, force * per_newton, strict=True):
             run = with_channel(run, name, lambda v, volts=volts: v + volts) if name in STRAIN else run
         changed.append(run)
@@ -148,12 +151,12 @@ def system_with_contact(cell, force=5.0):
 
 
 def test_forces_that_a_contact_holds_are_not_named_a_drift_of_zeros(runs):
-    spectra = measured_spectra(with_cell_forces(runs, "z1", 2.0), RIG, means=True)
+    spectra = measured_spectra(with_cell_forces(runs, "z1", random_forces(runs, 2.0)), RIG, means=True)
     drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
     assert drift.note.startswith("zeros, which")
     drift = replace(drift, static_sigma=drift.sigma / 2.0)
     assert drift.is_significant
-    held = share_with_contacts(drift, system_with_contact("z1"), spectra, SETTINGS)
+    held = share_with_forces(drift, system_with_contact("z1"), spectra, SETTINGS)
     assert held.contacts.places == ("z1",)
     assert held.contacts.left is None
     assert not held.is_significant
@@ -161,11 +164,32 @@ def test_forces_that_a_contact_holds_are_not_named_a_drift_of_zeros(runs):
     assert "what the contact at z1 holds at rest" in held.test.finding
     assert judge_zero_drift(replace(diagnosis(), verdict=EXPLAINED), held).verdict == EXPLAINED
     # A contact elsewhere does not shift the channels in these proportions.
-    assert share_with_contacts(drift, system_with_contact("x"), spectra, SETTINGS) == drift
-    assert share_with_contacts(drift, SYSTEM, spectra, SETTINGS) == drift
+    assert share_with_forces(drift, system_with_contact("x"), spectra, SETTINGS) == drift
+    assert share_with_forces(drift, SYSTEM, spectra, SETTINGS) == drift
 
 
 def test_zeros_that_drift_beside_a_contact_are_zeros(runs):
     spectra = measured_spectra(with_zeros(runs, 3e-4), RIG, means=True)
     drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
-    assert share_with_contacts(drift, system_with_contact("z1"), spectra, SETTINGS).contacts is None
+    assert share_with_forces(drift, system_with_contact("z1"), spectra, SETTINGS).contacts is None
+
+
+def square_of_rate(run, cell):
+    """Mean of |v| v [m2/s2] of a cell in the last period of a run, by its channel that sees the dynamics alone."""
+    channel = next(item for item in RIG.channels if item.cell == cell and item.time_constant is not None)
+    period = run.read().channels[-round(run.period * run.sample_rate) :, run.channel_names.index(channel.name)]
+    spectrum = np.fft.rfft(period) * 2j * np.pi * np.fft.rfftfreq(len(period), 1.0 / run.sample_rate)
+    stiffness = next(item.effective_stiffness for item in RIG.cells if item.name == cell)
+    v = np.fft.irfft(spectrum, 8 * len(period)) * 8 / (channel.sensitivity * stiffness)
+    return np.mean(np.abs(v) * v)
+
+
+def test_means_of_a_force_that_the_motion_determines_are_no_drift(runs):
+    squares = np.array([square_of_rate(run, "z1") for run in runs])
+    c2 = 0.5 / np.sqrt(np.mean(squares**2))
+    spectra = measured_spectra(with_cell_forces(runs, "z1", -c2 * squares), RIG, means=True)
+    drift = find_zeros(SYSTEM, spectra, SETTINGS).drift
+    assert drift is not None
+    damper = DeclaredEffect(name="quadratic-damping", where=("z1",), parameters={"c2": c2})
+    model = balance_model(RIG.model_copy(update={"effects": (damper,)}))
+    assert share_with_forces(drift, model.system(model.parameters.value), spectra, SETTINGS) is None

@@ -15,7 +15,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from tests.support.rigs import one_degree_of_freedom, two_degrees_of_freedom
 
-RATE, PERIOD, FINE = 512.0, 1.0, 8
+RATE, PERIOD, FINE = 512.0, 1.0, 16
 SETTLING, RECORDED = 5, 8
 """Periods until the motion is steady, and of the record."""
 BAND = (5, 120)
