@@ -119,6 +119,15 @@ def test_the_hub_is_found_where_the_forces_act() -> None:
     assert np.allclose(finding.position, rotor_balance().hub, atol=0.01)
 
 
+def test_the_hub_is_found_by_static_runs_alone() -> None:
+    """Lowered by 0.1 m it had passed, as the moments of the forces are small beside the vertical loads of the cells."""
+    geometry, runs = change_geometry(hub_lowered)(rotor_balance(), campaign())
+    statics = [run for run in runs if run.kind == "static"]
+    (finding,) = campaign_findings(geometry, statics)
+    assert finding.kind == HUB_POSITION and np.allclose(finding.position, rotor_balance().hub, atol=0.01)
+    assert campaign_findings(rotor_balance(), statics) == ()
+
+
 def test_sweeps_of_loads_that_the_rig_does_not_feel_contradict_nothing() -> None:
     geometry = load_geometry(ONE_DOF)
     sweeps = tuple(
