@@ -67,6 +67,7 @@ def _effect_evidence_summary(effect: FoundEffect) -> dict[str, Any]:
         "separated_by": effect.separated_by,
         "worth": effect.worth,
         "of_no_consequence": effect.is_of_no_consequence,
+        "doubtful": bool(effect.is_doubtful),
     }
 
 
@@ -128,6 +129,8 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
     if effect.worth:
         largest = max(effect.worth, key=lambda name: effect.worth[name] if effect.worth else 0.0)
         yield f"   worth: without it {largest} at the rotor harmonics is off by up to {effect.worth[largest]:.2g} sigma"
+    if effect.is_doubtful:
+        yield "   doubtful: the records disagree on it, and what no effect explains may look like it"
     if effect.is_of_no_consequence:
         yield "   of no consequence: it moves no load by a tenth of its sigma"
     if effect.indistinguishable_from:

@@ -21,6 +21,7 @@ from balance_cli.diagnosis.result import (
     LeftOut,
     Trial,
 )
+from balance_cli.diagnosis.selection.doubt import doubtful_effects
 from balance_cli.diagnosis.selection.fit import Fit
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
@@ -155,6 +156,7 @@ def describe_added_effects(
     likelihood is far from normal, by full name.
     """
     by_label = {effect.label: effect for effect in fitted}
+    doubted = () if update.is_good else doubtful_effects(update.fit, update.effect_support, batches, settings.selection)
     effects = []
     for effect in placed:
         support = update.effect_support.get(effect.label)
@@ -175,6 +177,7 @@ def describe_added_effects(
                 separated_by=remedy,
                 choice=described.choice,
                 worth=effect_worth(update.fit, effect, batches),
+                is_doubtful=effect.label in doubted or None,
             )
         )
     return tuple(sorted(effects, key=lambda item: -item.evidence.gain))

@@ -69,6 +69,7 @@ class FoundEffect:
     `indistinguishable_from`: labels NAME@PLACE of effects that describe the data as well; `separated_by`: the
     measurement that would separate them. `choice`: name and value of a parameter that is a word. `worth`: by load
     component, what forgetting the effect does to the harmonic loads over their sigma; None where it cannot be told.
+    `is_doubtful`: true where a residual is left and parts of the records disagree on the effect.
     """
 
     name: str
@@ -79,6 +80,7 @@ class FoundEffect:
     separated_by: str = ""
     choice: tuple[str, str] | None = None
     worth: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
+    is_doubtful: bool | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def is_of_no_consequence(self) -> bool:

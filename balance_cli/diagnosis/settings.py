@@ -195,6 +195,10 @@ class SelectionSettings:
     """Standard deviations within which two values are one: of eight channels none departs so far by chance."""
     equal_share: float = 0.05
     """Share of a value that a difference must stay below, too: values known no better agree with any other."""
+    doubt_bands: int = 8
+    """Bands of a run whose pulls on an effect are compared: the narrowest hold a mode each."""
+    doubt_sigma: float = 3.0
+    """Sigma by the scatter of these pulls that an effect must have beside a residual: one part alone makes less."""
     max_replaced: int = 6
     """Effects that alternatives may replace: two that replace each other in turn must end."""
     invisible_chi2: float = 1e-3

@@ -75,14 +75,14 @@ def cross_validation_gain(
     # What is declared with a tolerance is data too: a fold of its own.
     parts = [*(data_curvature(fold, system) for fold in split_folds(batches, settings.cross_validation)), prior]
     free = free_names(extended)
-    J = _parameter_sensitivity(sum(parts[:-1], prior), np.array([free.index(name) for name in names], np.intp))
+    J = parameter_sensitivity(sum(parts[:-1], prior), np.array([free.index(name) for name in names], np.intp))
     s = np.array([-J.T @ part.gradient for part in parts])
     V = np.array([J.T @ part.information @ J for part in parts])
     return _predicted_gain(s, V, *one_sided_bounds(items), settings)
 
 
-def _parameter_sensitivity(total: Curvature, tested: Index) -> Array:
-    """J (p, q): derivative of all parameters by the candidate's own, the fitted ones following."""
+def parameter_sensitivity(total: Curvature, tested: Index) -> Array:
+    """Return J (p, q), the derivative of all parameters by the `tested` ones (q,), the others following."""
     fitted = np.setdiff1d(np.arange(len(total.gradient)), tested)
     covariance = covariance_from_information(total.information[np.ix_(fitted, fitted)])
     J = np.zeros((len(total.gradient), len(tested)))
