@@ -4,7 +4,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.campaign.rig.rig_scales import inertia_by_motion, stiffness_by_motion
-from balance_cli.diagnosis.search import search
+from balance_cli.diagnosis.search import restarts, search
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
 from balance_cli.diagnosis.search.restarts import restart_one_by_one, restarted_values
 from balance_cli.diagnosis.search.rounds import RoundResult
@@ -85,3 +85,17 @@ def test_a_state_that_no_restart_has_improved_is_not_restarted_again(monkeypatch
     result = search.search(model, stuck.theta, SearchLines((), ()), lambda what: False, (), (), DEFAULT_SETTINGS)
     assert result.state is stuck
     assert len(restarted) == 1
+
+
+def test_restarts_that_describe_little_more_are_not_repeated(monkeypatch):
+    """Of a support that hardens, twelve fits were made four times over, each for a thousandth of the error."""
+    model, fits = supported_model(), []
+
+    def fit_slightly_better(of_model, theta, **_):
+        fits.append(theta)
+        return SearchState(of_model, theta, {"sweep-Fz": 0.35 - 1e-4 * len(fits)}, -100.0 * len(fits), 0.0)
+
+    monkeypatch.setattr(restarts, "fit_until_stable", fit_slightly_better)
+    state = SearchState(model, model.parameters.value, {"sweep-Fz": 0.35}, 0.0, 0.0)
+    best = restart_one_by_one(state, SearchLines((), ()), DEFAULT_SETTINGS)
+    assert len(fits) == len(restarted_values(state, DEFAULT_SETTINGS)) and best.fit_criterion < state.fit_criterion

@@ -31,8 +31,9 @@ def restart_one_by_one(state: SearchState, lines: SearchLines, settings: SearchS
         best = min(ends, key=lambda end: end.fit_criterion, default=state)
         if best.fit_criterion >= state.fit_criterion - settings.parameter_cost:
             break
-        state = best
-        if settings.fit.is_over or state.error <= settings.rounds.large_error:
+        before, state = state, best
+        slight = state.error > (1.0 - settings.rounds.min_progress) * before.error
+        if slight or settings.fit.is_over or state.error <= settings.rounds.large_error:
             break
     return state
 
