@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,8 +96,8 @@ def update_model(
         *initial_candidates(spectra.lines, start.geometry, settings),
         *spin_candidates(spectra.lines, start.geometry, settings),
     )
-    late = late_channels(spectra.lines, start.geometry, settings)
-    search_result = search(start, theta, lines, announce, initial_sets, late, settings)
+    find_late = partial(late_channels, spectra.lines, start.geometry, settings)
+    search_result = search(start, theta, lines, announce, initial_sets, find_late, settings)
     certain_labels = effect_labels(start) | {trial.label for trial in search_result.trials if trial.round == 0}
     task = _UpdateTask(start, theta, batches, lines, given_labels, certain_labels, announce, settings)
     update = _test_on_all_lines(task, search_result)

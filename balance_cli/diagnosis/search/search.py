@@ -50,16 +50,17 @@ def search(
     lines: SearchLines,
     announce: Announce,
     initial_sets: Sequence[InitialCandidates],
-    late: Sequence[Candidate],
+    find_late: Callable[[], Sequence[Candidate]],
     settings: SearchSettings,
 ) -> SearchResult:
     """Add effects one by one until none helps; where the error stays large, fit everything again from the regression.
 
-    The effects that the data demand without a model come first, those of `late` channels together. `announce` returns
-    whether the time is over.
+    The effects that the data demand without a model come first, those of late channels together, which are looked for
+    where much is missing. `announce` returns whether the time is over.
     """
     result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
-    result = result.add(*add_all_by_whole_fit(result.state, late, lines, settings))
+    if result.state.error > settings.rounds.stuck_error:
+        result = result.add(*add_all_by_whole_fit(result.state, find_late(), lines, settings))
     for initial_set in initial_sets:
         present = {effect.label for effect in declared_effects(result.state.geometry)}
         if settings.fit.is_over:
