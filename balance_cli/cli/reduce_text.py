@@ -46,9 +46,11 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "verdict": verdict.word,
         "reasons": verdict.reasons,
         "notes": run.notes,
+        "wrong_channels": run.wrong_channels,
     }
     if run.check is not None:
         summary |= {key: value for key, value in asdict(run.check).items() if key != "applied"}
+        summary["wrong_channels"] = run.check.wrong_channels or run.wrong_channels
     if run.in_time is not None:
         summary |= _in_time_summary(run.in_time)
     return summary

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +24,43 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+@dataclass(frozen=True)
+class LoadProblem:
+    """The equations of harmonics 1 to n of a record: readings y (h, r) = T (h, r, m) f + noise (h, r, r).
+
+    `dof` (h,) are the degrees of freedom of the noise; weighting (h, r, r) the covariance of channels that are noisy by
+    themselves, of one sample; scale (m,) makes loads comparable; `response_covariance` and `known_error` return
+    covariances (h, 2r, 2r) of T f for loads (h, 2m).
+    """
+
+    T: ComplexArray
+    readings: ComplexArray
+    noise: ComplexArray
+    dof: Array
+    weighting: ComplexArray
+    scale: Array
+    response_covariance: Callable[[Array], Array]
+    known_error: Callable[[Array], Array] | None
+
+    def with_readings(self, matrix: Array) -> LoadProblem:
+        """Return the problem of readings that are multiplied by a matrix (r, r), with their noise."""
+        noise, weighting = (matrix @ covariance @ matrix.T for covariance in (self.noise, self.weighting))
+        return replace(self, readings=self.readings @ matrix.T, noise=noise, weighting=weighting)
+
+    def solve(self) -> SolvedLoads:
+        """Estimate the loads, weighted by noise."""
+        return solve_loads(
+            stacked_real(self.T),
+            np.concatenate([self.readings.real, self.readings.imag], axis=1),
+            circular_real(self.noise),
+            self.dof,
+            self.response_covariance,
+            np.tile(self.scale, 2),
+            circular_real(self.weighting),
+            self.known_error,
+        )
+
+
 def harmonic_loads(
     record: RotorRecord, geometry: Geometry, source: ResponseSource, response: ComplexArray | None = None
 ) -> SolvedLoads:
@@ -29,6 +69,13 @@ def harmonic_loads(
     `response` is the `harmonic_response`, where it is known already.
     Raises UserError where the usable channels do not determine the loads.
     """
+    return load_problem(record, geometry, source, response).solve()
+
+
+def load_problem(
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, response: ComplexArray | None = None
+) -> LoadProblem:
+    """Return the equations that `harmonic_loads` solves. Raises UserError where they do not determine the loads."""
     spectra, health = record.spectra, record.health
     frequency = spectra.frequency_hz[1:]
     channel_combination = source.channel_combination(frequency, health.live)
@@ -39,9 +86,10 @@ def harmonic_loads(
     _check_determined(T, record, scale)
     live = spectra.columns(health.live)
     combination = channel_combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
-    y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, live])
-    noise = combination @ spectra.covariance[1:][:, live][:, :, live] @ combination.conj().swapaxes(1, 2)
     real_rows = np.array([*channel_combination.rows, *(row + response.shape[1] for row in channel_combination.rows)])
+
+    def propagate(covariance: ComplexArray) -> ComplexArray:
+        return np.asarray(combination @ covariance @ combination.conj().swapaxes(1, 2))
 
     def as_components(loads: Array) -> ComplexArray:
         all_loads = np.zeros((len(loads), 6), complex)
@@ -54,16 +102,14 @@ def harmonic_loads(
     def known_error(loads: Array) -> Array:
         return circular_real(_known_error(record, source, channel_combination.rows, as_components(loads)))
 
-    sample = np.diag(channel_noise(record, geometry)).astype(complex)
-    weighting_covariance = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
-    return solve_loads(
-        stacked_real(T),
-        np.concatenate([y.real, y.imag], axis=1),
-        circular_real(noise),
+    return LoadProblem(
+        T,
+        np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, live]),
+        propagate(spectra.covariance[1:][:, live][:, :, live]),
         spectra.dof[1:],
+        propagate(np.diag(channel_noise(record, geometry)).astype(complex)),
+        scale,
         response_covariance,
-        np.tile(scale, 2),
-        weighting_covariance,
         known_error if source.response_error is not None else None,
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.measured_response import highest_frequency, lowest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.record_spectrum import RecordSpectrum
@@ -59,4 +60,5 @@ def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array]
     picked = source.channel_combination(record.spectra.frequency_hz[1:2], live)
     if not picked.rows_are_channels:
         return None
-    return lambda frequency: np.abs(source.at(frequency, record.spin)[:, picked.rows]) ** 2
+    band = lowest_frequency(source), highest_frequency(source)
+    return lambda frequency: np.abs(source.at(np.clip(frequency, *band), record.spin)[:, picked.rows]) ** 2

@@ -98,6 +98,7 @@ class RunLoads(ResultView):
     are, None for the first; `conditions`: None in artefacts of former versions; `unnoticed`: what the residual test
     does not show of errors of the sensors at harmonics 1 to n, None where there is no such test. `mean_method`: what
     computed harmonic 0, in words; None where it was not measured, and in artefacts of former versions.
+    `wrong_channels`: the mistake in the channels that explains what they contradict; None where none is known.
     """
 
     run: str
@@ -122,6 +123,7 @@ class RunLoads(ResultView):
     conditions: RunConditions | None = field(default=None, metadata={"omit_if_none": True})
     unnoticed: UnnoticedErrors | None = field(default=None, metadata={"omit_if_none": True})
     mean_method: str | None = field(default=None, metadata={"omit_if_none": True})
+    wrong_channels: str | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def flag_counts(self) -> dict[str, int]:

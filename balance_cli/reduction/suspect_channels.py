@@ -1,102 +1,298 @@
-"""Which channels contradict the others: what is left when one or two of them are not used."""
+"""What is wrong with the channels of a run, by their residuals alone: two exchanged, one reversed, a factor.
+
+Wind-on no load is known. But readings from which a mistake is taken leave residuals of noise, and of no other mistake
+do they. A mistake is the same at all harmonics, which are therefore taken together. Where no mistake explains what the
+residual test rejects, one or two channels may, without which it is passed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.check_errors import SAME_PATTERN
-from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
-from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.harmonic_loads import LoadProblem, harmonic_loads
+from balance_cli.reduction.response_sources import ResponseSource, circular_real, stacked_real
 from balance_cli.reduction.rotor_record import RotorRecord
-from balance_cli.reduction.weighted_least_squares import SolvedLoads
-from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.reduction.weighted_least_squares import SolvedLoads, redundant_directions, residual_chi2
 
+Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 REJECTED_SHARE = 0.5
 """Share of rejected harmonics from which a channel is looked for: a fault of a channel shows in all of them."""
+LEAST_MISFIT = 10.0
+"""Chi-square per degree of freedom, by the noise of the channels and the errors of the response, from which a mistake
+is sought. Gusts do not reach it: the response explains what they make. In short records the residual test takes them
+for noise where a mistake keeps the response from that."""
 EXPLAINED_SHARE = 0.2
-"""Share of the rejected harmonics that may remain without the channel that is to blame."""
+"""Share of the harmonics that may be rejected without the mistake, or without the channels that are to blame."""
+REMAINING_SHARE = 0.05
+"""Of the squared residuals that may remain without the mistake, as in the cross-checks of runs with known loads."""
+REMAINING_WHERE_REJECTED = 0.2
+"""The same where the redundant channels contradict the record anyway: what is sought is the name. Short records contain
+transients, too."""
+LEAD = 25.0
+"""By how much chi-square must be larger with any other mistake: five standard deviations. Where the response misses
+more than noise, so many times what it leaves per degree of freedom."""
+MOST_ALTERNATIVES = 3
+"""Mistakes that are named together where the residuals do not tell them apart: with two channels in each of six cells,
+exchanged strain channels look like exchanged piezo channels."""
+LARGEST_FACTOR = 1e6
+"""Of a channel; a larger one says that its readings are rather left out than corrected."""
+EXAMINED = 6
+"""Mistakes that are tried by the noise that channels have without them: first that of the record ranks them."""
+SIGN_TOLERANCE = 0.2
+"""Departure of a factor from -1 that is still taken for a sign."""
 PAIR_CANDIDATES = 6
-"""Channels whose pairs are tried: those without which the least contradiction remains."""
-FACTOR_TOLERANCE = 0.2
-"""Departure of a factor from -1 or 1 that is still taken for a sign or an exchange."""
+"""Channels whose pairs are left out on trial: those without which the least contradiction remains."""
 
 
-def describe_suspect_channels(
-    record: RotorRecord, geometry: Geometry, source: ResponseSource, solution: SolvedLoads
+@dataclass(frozen=True)
+class ChannelMistake:
+    """What was done to the readings (r,) of all channels, as a matrix (r, r), and chi-square without it.
+
+    `names` are the channels in words; `scaled` (r,) tells those that have one factor, which an exchange does not have.
+    """
+
+    matrix: Array
+    names: str
+    chi2: float
+    scaled: NDArray[np.bool_] | None = None
+
+    @property
+    def description(self) -> str:
+        """The mistake in words."""
+        if self.scaled is None:
+            return f"{self.names} are exchanged"
+        factor, several = float(self.matrix[self.scaled, self.scaled][0]), np.count_nonzero(self.scaled) > 1
+        reads, is_reversed = ("read", "are reversed") if several else ("reads", "is reversed")
+        if abs(factor + 1.0) < SIGN_TOLERANCE:
+            return f"{self.names} {is_reversed}"
+        sign = "" if factor > 0.0 else f"{is_reversed} and "
+        return f"{self.names} {sign}{reads} {abs(factor):.4g} times what the other channels say"
+
+
+def explain_residuals(
+    problem: LoadProblem, record: RotorRecord, geometry: Geometry, source: ResponseSource, is_rejected: bool
+) -> tuple[str, ...]:
+    """Return the mistake in the channels that explains all residuals, in words; several that explain them alike.
+
+    `problem` is the `load_problem` of the record; `is_rejected`: whether redundant channels are known to contradict it.
+    Empty where nothing explains the residuals, or too much does. Channels that no redundant channel tests are not
+    judged.
+    """
+    live, samples = record.health.live, record.spectra.samples
+    degrees = 2.0 * len(problem.T) * (problem.T.shape[1] - problem.T.shape[2])
+    if degrees <= 0.0 or source.is_contradicted or not (is_rejected or source.response_error is None):
+        return ()
+    if not source.channel_combination(record.spectra.frequency_hz[1:2], live).rows_are_channels:
+        return ()
+    if _channel_noise_chi2(problem, samples) < LEAST_MISFIT * degrees:
+        return ()
+    residuals = _residuals(problem, samples)
+    if residuals.chi2 < LEAST_MISFIT * degrees:
+        return ()
+    mistakes = [*_exchanges(residuals, live, geometry), *_factors(residuals, live, geometry)]
+    likeliest = sorted(mistakes, key=_remaining)[:EXAMINED]
+    share = REMAINING_WHERE_REJECTED if is_rejected else REMAINING_SHARE
+    near = _explaining(likeliest, problem, samples, share, degrees)
+    if len(near) > MOST_ALTERNATIVES:
+        return ()
+    return tuple(item.description for item in near if _passes_test(_undone(item, problem)))
+
+
+def _explaining(
+    mistakes: Sequence[ChannelMistake], problem: LoadProblem, samples: int, share: float, degrees: float
+) -> list[ChannelMistake]:
+    """Return the mistakes that leave at most a share of chi-square, hardly more than the one that leaves least.
+
+    Loads that a mistake makes large have large errors of the response. Mistakes are compared by their own errors and by
+    those of the best one.
+    """
+    evaluated = (_examine(mistake, problem, samples) for mistake in mistakes)
+    trials = [mistake for mistake in evaluated if np.isfinite(mistake.chi2)]
+    if not trials:
+        return []
+    error = problem.response_covariance(_loads(_undone(min(trials, key=_remaining), problem)))
+    by_same = [_examine(item, problem, samples, error) for item in trials]
+    least = [min(pair, key=_remaining) for pair in zip(trials, by_same, strict=True)]
+    best = min(least, key=_remaining).chi2
+    if best > share * _residuals(problem, samples, error).chi2:
+        return []
+    return [item for item in least if item.chi2 <= best + LEAD * max(1.0, best / degrees)]
+
+
+def _channel_noise_chi2(problem: LoadProblem, samples: int) -> float:
+    """Return chi-square by the noise of the channels alone, as if the response were exact: more than it is."""
+    N = np.linalg.qr(problem.T, mode="complete").Q[:, :, problem.T.shape[2] :]
+    residual = np.einsum("hrq,hr->hq", N.conj(), problem.readings)[:, :, None]
+    weighted = np.linalg.solve(np.swapaxes(N.conj(), 1, 2) @ problem.weighting @ N, residual)
+    return float(0.5 * samples * np.sum((residual.conj() * weighted).real))
+
+
+def _remaining(mistake: ChannelMistake) -> float:
+    return mistake.chi2
+
+
+def _loads(problem: LoadProblem) -> Array:
+    """Return the loads (h, 2m) as real and imaginary parts."""
+    loads = problem.solve().loads
+    return np.concatenate([loads.real, loads.imag], axis=1)
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Readings (h, 2r), and the weights (h, 2r, 2r) of what no load explains of them: chi-square is y' weight y."""
+
+    readings: Array
+    weight: Array
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of the readings as they are."""
+        return float(self.products(self.readings, self.readings))
+
+    def products(self, first: Array, second: Array) -> Array:
+        """Return the weighted products (...) of changes (..., h, 2r) of the readings, summed over the harmonics."""
+        return np.asarray(np.sum(first * np.einsum("hrs,...hs->...hr", self.weight, second), axis=(-2, -1)))
+
+    def divisors(self, masks: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Return the inverse factors (s,) of channels (s, r) that leave least, chi-square with them (s,).
+
+        And by how much chi-square grows where these channels read nothing instead (s,).
+        """
+        parts = np.tile(masks, 2)[:, None, :] * self.readings
+        slope, power = self.products(parts, self.readings), self.products(parts, parts)
+        inverse = 1.0 - slope / np.where(power > 0.0, power, np.inf)
+        return inverse, self.chi2 - slope * (1.0 - inverse), inverse**2 * power
+
+
+def _residuals(problem: LoadProblem, samples: int, response_error: Array | None = None) -> _Residuals:
+    """Return those by the noise of the channels in so many samples, of which gusts are no part, and by the response.
+
+    `response_error` (h, 2r, 2r) is its covariance, by default that for the loads of these readings.
+    """
+    error = problem.response_covariance(_loads(problem)) if response_error is None else response_error
+    N = np.swapaxes(redundant_directions(stacked_real(problem.T)), 1, 2)
+    covariance = circular_real(problem.weighting) * (4.0 / samples) + error
+    weight = N @ np.linalg.solve(np.swapaxes(N, 1, 2) @ covariance @ N, np.swapaxes(N, 1, 2))
+    return _Residuals(np.concatenate([problem.readings.real, problem.readings.imag], axis=1), weight)
+
+
+def _exchanges(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -> Iterator[ChannelMistake]:
+    """Yield each exchange of two channels, and of all channels of two cells with as many."""
+    places = _places_by_sensor(live, geometry)
+    swaps = [([i], [j], f"{live[i]} and {live[j]}") for i, j in combinations(range(len(live)), 2)]
+    swaps += [
+        (places[a], places[b], f"the channels of {a} and those of {b}")
+        for a, b in combinations(places, 2)
+        if len(places[a]) == len(places[b]) > 1
+    ]
+    order = np.tile(np.arange(len(live)), (len(swaps), 1))
+    for row, (first, second, _) in zip(order, swaps, strict=True):
+        row[[*first, *second]] = [*second, *first]
+    both = np.hstack([order, order + len(live)])
+    corrected = np.moveaxis(residuals.readings[:, both], 0, 1)
+    chi2 = residuals.products(corrected, corrected)
+    for row, value, (_, _, names) in zip(order, chi2.tolist(), swaps, strict=True):
+        yield ChannelMistake(np.eye(len(live))[row], names, value)
+
+
+def _factors(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -> Iterator[ChannelMistake]:
+    """Yield for each channel, sensor and group the factor that leaves least: a reversed channel has -1."""
+    places = {name: [place] for place, name in enumerate(live)}
+    places |= {f"the channels of {name}": at for name, at in _places_by_sensor(live, geometry).items() if len(at) > 1}
+    for name, members in channel_groups(geometry).items():
+        if name != ALL:
+            places[f"all {name} channels"] = [live.index(member) for member in members if member in live]
+    masks = np.array([np.isin(np.arange(len(live)), at) for at in places.values()])
+    for mask, name, inverse, chi2, _ in zip(masks, places, *residuals.divisors(masks), strict=True):
+        if abs(inverse) > 1.0 / LARGEST_FACTOR:
+            yield ChannelMistake(np.diag(np.where(mask, 1.0 / inverse, 1.0)), name, float(chi2), mask)
+
+
+def _examine(mistake: ChannelMistake, problem: LoadProblem, samples: int, error: Array | None = None) -> ChannelMistake:
+    """Return the mistake with the factor, and chi-square, by the noise that its channels have without it."""
+    residuals = _residuals(_undone(mistake, problem), samples, error)
+    if mistake.scaled is None:
+        return replace(mistake, chi2=residuals.chi2)
+    (inverse,), (chi2,), (worth,) = residuals.divisors(mistake.scaled[None])
+    if chi2 > REMAINING_WHERE_REJECTED * (chi2 + worth):  # left out, the channels contradict hardly more
+        return replace(mistake, chi2=np.inf)
+    matrix = np.where(np.diag(mistake.scaled), mistake.matrix / inverse, mistake.matrix)
+    return replace(mistake, matrix=matrix, chi2=float(chi2))
+
+
+def _undone(mistake: ChannelMistake, problem: LoadProblem) -> LoadProblem:
+    return problem.with_readings(np.asarray(np.linalg.inv(mistake.matrix), float))
+
+
+def _places_by_sensor(live: tuple[str, ...], geometry: Geometry) -> dict[str, list[int]]:
+    """Return the places of the channels of each cell or other sensor, those of one kind first, as declared."""
+    places: dict[str, list[int]] = {}
+    for channel in geometry.channels:
+        if channel.name in live and channel.source:
+            places.setdefault(channel.source, []).append(live.index(channel.name))
+    return places
+
+
+def _passes_test(problem: LoadProblem) -> bool:
+    """Whether hardly any harmonic is rejected beyond what the response is known to miss."""
+    solved = problem.solve()
+    rejected = solved.misfit
+    if problem.known_error is not None:
+        loads, equations = solved.loads, solved.equations
+        known = problem.known_error(np.concatenate([loads.real, loads.imag], axis=1))
+        chi2 = residual_chi2(equations.T, equations.readings[:, :, None], equations.covariance + known)[:, 0]
+        rejected = chi2 > solved.limit * solved.degrees
+    return bool(np.mean(rejected) <= EXPLAINED_SHARE)
+
+
+def contradicting_channels(
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, solution: SolvedLoads, response: ComplexArray
 ) -> str:
-    """Return the one or two channels without which the residual test is passed, and what is wrong with them, in words.
+    """Return the one or two channels without which the residual test is passed, in words.
 
     Empty where the test is passed with all of them, where no channel or pair explains it, and where several do; and
     where the response is known to miss its own data, because then it is to blame.
     """
     if np.mean(solution.misfit) < REJECTED_SHARE or source.response_error is not None or source.is_contradicted:
         return ""
-    left = {name: _rejection(record, geometry, source, (name,)) for name in record.health.live}
+
+    def rejection(names: Sequence[str]) -> tuple[float, float]:
+        return _rejection(_without(record, names), geometry, source, response)
+
+    left = {name: rejection((name,)) for name in record.health.live}
     passed: list[tuple[str, ...]] = [(name,) for name, (share, _) in left.items() if share <= EXPLAINED_SHARE]
     if not passed:
         pairs = combinations(sorted(left, key=lambda name: left[name])[:PAIR_CANDIDATES], 2)
-        passed = [pair for pair in pairs if _rejection(record, geometry, source, pair)[0] <= EXPLAINED_SHARE]
-    return _describe(record, geometry, source, passed[0]) if len(passed) == 1 else ""
+        passed = [pair for pair in pairs if rejection(pair)[0] <= EXPLAINED_SHARE]
+    if len(passed) != 1:
+        return ""
+    them = "it" if len(passed[0]) == 1 else "them"
+    return f"{' and '.join(passed[0])} contradict the other channels; without {them} the residual test is passed"
 
 
-def _without(record: RotorRecord, names: tuple[str, ...]) -> RotorRecord:
+def _without(record: RotorRecord, names: Sequence[str]) -> RotorRecord:
     live = tuple(name for name in record.health.live if name not in names)
     return replace(record, health=replace(record.health, live=live))
 
 
 def _rejection(
-    record: RotorRecord, geometry: Geometry, source: ResponseSource, names: tuple[str, ...]
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, response: ComplexArray
 ) -> tuple[float, float]:
-    """Return the share of harmonics rejected without these channels, and the mean redundancy left; inf if untested."""
+    """Return the share of harmonics that are rejected, and the mean redundancy left; inf where not tested."""
     try:
-        solution = harmonic_loads(_without(record, names), geometry, source)
+        solution = harmonic_loads(record, geometry, source, response)
     except UserError:
         return np.inf, np.inf
     if not np.all(solution.degrees > 0):
         return np.inf, np.inf
     return float(np.mean(solution.misfit)), float(np.mean(solution.redundancy_chi2))
-
-
-def _describe(record: RotorRecord, geometry: Geometry, source: ResponseSource, names: tuple[str, ...]) -> str:
-    measured, predicted = _readings(record, geometry, source, names)
-    test = f"; without {'it' if len(names) == 1 else 'them'} the residual test is passed"
-    if len(names) == 2 and all(_factor(measured[:, i], predicted[:, 1 - i], 1.0) for i in (0, 1)):
-        return f"{names[0]} and {names[1]} are exchanged{test}"
-    if len(names) == 1:
-        ratio = float(np.vdot(predicted[:, 0], measured[:, 0]).real / np.vdot(predicted[:, 0], predicted[:, 0]).real)
-        if _factor(measured[:, 0], predicted[:, 0], -1.0):
-            return f"{names[0]} is reversed{test}"
-        if _factor(measured[:, 0], predicted[:, 0], ratio):
-            return f"{names[0]} reads {ratio:.4g} times what the other channels say{test}"
-    return f"{' and '.join(names)} contradict the other channels{test}"
-
-
-def _factor(measured: ComplexArray, predicted: ComplexArray, factor: float) -> bool:
-    """Return whether readings (n,) are a factor times the prediction."""
-    product, power = np.vdot(predicted, measured), float(np.vdot(predicted, predicted).real)
-    pattern = abs(product) / np.sqrt(power * float(np.vdot(measured, measured).real))
-    return bool(pattern > SAME_PATTERN and abs(product.real / power - factor) <= FACTOR_TOLERANCE * abs(factor))
-
-
-def _readings(
-    record: RotorRecord, geometry: Geometry, source: ResponseSource, names: tuple[str, ...]
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return measured and predicted amplitudes (n, k) [V] of the channels, by the loads from all other channels."""
-    frequency = record.spectra.frequency_hz[1:]
-    loads = harmonic_loads(_without(record, names), geometry, source).loads
-    rows = source.channel_combination(frequency, record.health.live).rows
-    columns = [COMPONENTS.index(name) for name in record.components]
-    at = [record.health.live.index(name) for name in names]
-    T = harmonic_response(record, geometry, source)[:, [rows[i] for i in at]][:, :, columns]
-    H = anti_alias_response(geometry.acquisition, frequency)
-    measured = record.spectra.amplitude[1:, record.spectra.columns(names)] / H[:, None]
-    return measured, np.einsum("hkm,hm->hk", T, loads)

@@ -20,12 +20,14 @@ from balance_cli.reduction.flags import (
     UNTESTED,
     join_flags,
 )
+from balance_cli.reduction.harmonic_loads import LoadProblem
 from balance_cli.reduction.kalman.innovations import InnovationTests, rms_autocorrelation, slow_power
 from balance_cli.reduction.record_lines import lines_of_record
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
+from balance_cli.reduction.suspect_channels import contradicting_channels, explain_residuals
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
 from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine
@@ -65,7 +67,9 @@ class Trust:
 
     `reached` (n+1, m) are the loads that one of the `lines` reaches; `confounded` the harmonics beside which another
     rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
-    `regressed` is the highest harmonic of the regression, `steadiness_note` says why all loads are unsteady.
+    `regressed` is the highest harmonic of the regression, `steadiness_note` says why all loads are unsteady;
+    `wrong_channels` is the mistake in the channels that explains what they contradict, `suspect_note` names channels
+    without which they contradict nothing.
     """
 
     untested: Mask
@@ -78,14 +82,17 @@ class Trust:
     pairs: tuple[PairContradiction, ...] = ()
     regressed: int = 0
     steadiness_note: str = ""
+    wrong_channels: str = ""
+    suspect_note: str = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """The lines and the pairs of channels in words."""
+        """The lines and the channels in words."""
         n = len(self.untested) - 1
+        channels = f"{self.wrong_channels}: undone, the residual test is passed" if self.wrong_channels else ""
         lines = (line.explain(n, self.regressed) + _remedy(line) for line in self.lines)
         pairs = (pair.description for pair in self.pairs)
-        return (*lines, *pairs, *filter(None, [self.steadiness_note]))
+        return (*filter(None, [channels, *lines, *pairs, self.suspect_note, self.steadiness_note]),)
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -115,12 +122,13 @@ def assess_trust(
     source: ResponseSource,
     static: TrimCalibration | None,
     response: ComplexArray,
+    problem: LoadProblem,
     solution: SolvedLoads,
     sigma: Array,
 ) -> Trust:
     """Examine the loads of a record; `sigma` (n+1, m) are the standard deviations stated for them.
 
-    `response` is its `harmonic_response`, by which the loads were solved.
+    `response` is its `harmonic_response`, `problem` what was solved.
     Without a `static` calibration the mean loads are not examined.
     """
     shape, m = sigma.shape, sigma.shape[1]
@@ -135,11 +143,16 @@ def assess_trust(
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
         reached[1:] = _reached_loads(lines, record, regressed, solution, sigma[1:])
     pairs = contradicted_pairs(record, geometry, source, response)
-    rejected |= bool(pairs)
+    is_rejected = bool(pairs) or bool(rejected[1:].all())
+    wrong = ", or ".join(explain_residuals(problem, record, geometry, source, is_rejected))
+    examine = is_rejected and not wrong
+    suspect = contradicting_channels(record, geometry, source, solution, response) if examine else ""
+    rejected |= bool(pairs) or bool(wrong)
     shared = frozenset(line.order for line in record.confounded)
     unsteady = steadiness.unsteady | (bool(record.pulse_doubt) & (np.arange(n + 1) > 0)[:, None])
     tests = unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed
-    return Trust(untested, *tests, "; ".join(filter(None, [record.pulse_doubt, steadiness.note])))
+    doubt = "; ".join(filter(None, [record.pulse_doubt, steadiness.note]))
+    return Trust(untested, *tests, doubt, wrong, suspect)
 
 
 def _lines_and_steadiness(

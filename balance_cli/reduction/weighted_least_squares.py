@@ -151,20 +151,20 @@ def residual_chi2(T: Array, readings: Array, total: Array) -> Array:
     It is that of the directions that no load reaches. A covariance from fewer lines than channels is singular, and
     regular in these directions alone.
     """
-    N = _redundant_directions(T)
+    N = redundant_directions(T)
     residual = N @ readings
     covariance = N @ total @ np.swapaxes(N, 1, 2)
     return np.asarray(np.einsum("has,has->hs", residual, np.linalg.solve(covariance, residual)))
 
 
-def _redundant_directions(T: Array) -> Array:
+def redundant_directions(T: Array) -> Array:
     """Return the orthonormal rows N (h, a - b, a) with N T = 0."""
     return np.asarray(np.swapaxes(np.linalg.qr(T, mode="complete").Q[:, :, T.shape[2] :], 1, 2))
 
 
 def _noise_share(T: Array, noise: Array, total: Array) -> Array:
     """Return the share (h,) of the noise in the covariance `total` of the redundant directions."""
-    N = _redundant_directions(T)
+    N = redundant_directions(T)
     noise, total = (N @ part @ np.swapaxes(N, 1, 2) for part in (noise, total))
     return np.asarray(np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / max(N.shape[1], 1))
 

@@ -80,8 +80,9 @@ def compare_loads(
 def compare_with_other_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
     """Return the loads flagged by what wind runs say of each other, and check runs of all; and the warnings."""
     comparisons, copies = compare_wind_runs(runs), copied_runs(runs)
+    channels = (f"{loads.wrong_channels} in {name}" for name, loads in runs.items() if loads.wrong_channels)
     flagged, contradictions = flag_by_check_runs(flag_turned_runs(flag_copied_runs(runs, copies), comparisons))
-    warnings = (*map(copy_warning, copies), *turn_warnings(comparisons))
+    warnings = (*channels, *map(copy_warning, copies), *turn_warnings(comparisons))
     return flagged, (*warnings, *(item.sentence for item in contradictions))
 
 

@@ -16,7 +16,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
 from balance_cli.reduction.gain_error import add_gain_error
-from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
+from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response, load_problem
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.load_fluctuation import add_load_fluctuation
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
@@ -32,7 +32,6 @@ from balance_cli.reduction.response_sources import (
 from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
-from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -95,8 +94,8 @@ def reduce_record(
         mean_solution = add_resting_forces(mean_solution, record, calibration, source, zero is not None)
     mean_solution = add_gain_error(mean_solution, source)
     response = harmonic_response(record, geometry, source)
-    solved = harmonic_loads(record, geometry, source, response)
-    harmonic_solution = _add_dynamic_error(solved, record, geometry, source)
+    problem = load_problem(record, geometry, source, response)
+    harmonic_solution = _add_dynamic_error(problem.solve(), record, geometry, source)
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     errors_known = calibration is None or calibration.errors_known
@@ -104,13 +103,13 @@ def reduce_record(
     loads = _combine_loads(record, mean_solution, harmonic_solution, source, geometry)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     static = None if calibration is None else nearest_trim(calibration, loads)
-    trust = assess_trust(record, geometry, source, static, response, harmonic_solution, sigma)
+    trust = assess_trust(record, geometry, source, static, response, problem, harmonic_solution, sigma)
     shared = (line.description for line in record.confounded)
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
-    suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
     source_note = source.note if isinstance(source, ResponseWithoutModel) else ""
-    further = filter(None, [suspect_note, mean_solution.note, source_note])
+    further = filter(None, [mean_solution.note, source_note])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
+    loads = replace(loads, wrong_channels=trust.wrong_channels or None)
     if static is not None:
         loads = _flag_implausible(loads, static)
     if not record.run.has_loads or record.run.kind != "check":
