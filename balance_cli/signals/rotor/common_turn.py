@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.signals import distributions as stats
-from balance_cli.signals.rotor.steadiness import FALSE_ALARM, critical_sum, largest_change, window_scatter
+from balance_cli.signals.rotor.steadiness import (
+    FALSE_ALARM,
+    FEWEST_BESIDE_STEP,
+    critical_sum,
+    largest_change,
+    window_scatter,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -92,7 +98,10 @@ def _steady_turn(values: ComplexArray) -> CommonTurn | None:
     is_known = np.abs(np.angle(phasor)) > NOISE_LIMIT * error
     if abs(turn) * (count - 1) < LEAST_STEADY_TURN or np.count_nonzero(is_known) < FEWEST_AMPLITUDES:
         return None
-    return CommonTurn(0, turn, is_steady=True) if np.mean(is_alike) >= ALIKE_SHARE else None
+    # Gusts that shake many channels are one witness: of each harmonic the amplitude that is known best is another.
+    best = [np.flatnonzero(order == n)[np.argmax(share[order == n])] for n in np.unique(order)]
+    agrees = min(np.mean(is_alike), np.mean(is_alike[best])) >= ALIKE_SHARE
+    return CommonTurn(0, turn, is_steady=True) if agrees else None
 
 
 def _slow_turn(values: ComplexArray, weight: Array, sigma: Array) -> CommonTurn | None:
@@ -129,7 +138,10 @@ def _slopes(series: Array) -> tuple[Array, Array]:
 
 
 def _sudden_turn(values: ComplexArray, size: ComplexArray, weight: Array) -> CommonTurn | None:
-    """Return the turn of amplitudes from a window on, counted from those of a part of the record (n, c)."""
+    """Return the turn of amplitudes from a window on, counted from those of a part of the record (n, c).
+
+    None where too few windows tell it.
+    """
     ratio = np.where(size != 0.0, values / np.where(size != 0.0, size, 1.0), 1.0)
     order = np.arange(1, values.shape[1] + 1)
     turn = _best_turn(np.einsum("whc,hc->wh", ratio, weight), order)[:, None]
@@ -139,6 +151,8 @@ def _sudden_turn(values: ComplexArray, size: ComplexArray, weight: Array) -> Com
         return None
     window = 1 + int(np.argmax(wander))
     change = float(np.median(turn[window:]) - np.median(turn[:window]))
+    if min(window, len(turn) - window) < FEWEST_BESIDE_STEP:
+        return None
     return CommonTurn(window, change, is_steady=False) if _is_common(ratio, order, window, change) else None
 
 
@@ -162,7 +176,10 @@ def _is_common(ratio: ComplexArray, order: NDArray[np.int64], window: int, turn:
     expected = np.exp(1j * order * turn)[:, None] - 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
         missed, noise = np.abs(after / before - 1.0 - expected), noise / np.abs(before)
-    return bool(np.mean(missed <= ALIKE_DEPARTURE * np.abs(expected) + NOISE_LIMIT * noise) >= ALIKE_SHARE)
+    is_alike = missed <= ALIKE_DEPARTURE * np.abs(expected) + NOISE_LIMIT * noise
+    best = np.take_along_axis(is_alike, np.argmin(noise, axis=1)[:, None], axis=1)
+    is_known = np.any(np.abs(expected) > NOISE_LIMIT * noise)
+    return bool(is_known and min(np.mean(is_alike), np.mean(best)) >= ALIKE_SHARE)
 
 
 def median_amplitude(values: ComplexArray) -> ComplexArray:
