@@ -72,6 +72,8 @@ def _unnoticed_errors(run: RunLoads) -> dict[str, dict[int, dict[str, Any]]] | N
 
 def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
     """Return the keys of a run reduced in time; without tests of the innovations their keys are null."""
+    from balance_cli.reduction.kalman.innovations import rms_autocorrelation, slow_power
+
     tests = filter_result.innovations
     return {
         "load_model": filter_result.load_model,
@@ -81,6 +83,8 @@ def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
         "nis_sigma": tests.nis_sigma if tests else None,
         "whiteness": tests.whiteness if tests else None,
         "whiteness_sigma": tests.whiteness_sigma if tests else None,
+        "rms_autocorrelation": rms_autocorrelation(tests) if tests else None,
+        "slow_power": slow_power(tests) if tests else None,
         "channels": tests.channels if tests else {},
         "noise_v": filter_result.noise,
         "gap_notes": filter_result.gap_notes,
@@ -141,9 +145,14 @@ def _innovation_tests_text(filter_result: TimeDomainResult) -> str:
     tests = filter_result.innovations
     if tests is None:
         return "innovations not tested: no part of the record has all channels"
+    from balance_cli.reduction import trust  # not for loads by harmonics, which do without
+    from balance_cli.reduction.kalman.innovations import rms_autocorrelation, slow_power
+
+    verdict = "; they contradict the filter" if trust.filter_is_contradicted(tests) else ""
     return (
-        f"innovations: NIS {tests.nis:.3f} (1 +- {tests.nis_sigma:.3f} if the filter is consistent), "
-        f"whiteness {tests.whiteness:.3g} (1 +- {tests.whiteness_sigma:.2f} if they are white)"
+        f"innovations: NIS {tests.nis:.3f} ({trust.SMALLEST_NIS:g} to {trust.LARGEST_NIS:g} is consistent), "
+        f"rms autocorrelation {rms_autocorrelation(tests):.3f} (at most {trust.LARGEST_AUTOCORRELATION:g}), "
+        f"slow power {slow_power(tests):.2f} (at most {trust.LARGEST_SLOW_POWER:g}){verdict}"
     )
 
 
