@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors, Trial
     from balance_cli.estimation.identified_model import IdentifiedModel
 
+EXPECTED_SHOWN = 10.0
+"""Expected error over the noise, from which it is shown."""
 COLUMN_WIDTH = 11
 """Width of a component's column."""
 
@@ -170,12 +172,17 @@ def _known_items(items: dict[str, object]) -> dict[str, object]:
 
 
 def _hold_out_text(hold_out: dict[str, HoldOut]) -> Iterator[str]:
-    """A block for each run: a column for each component; rows before, after, and noise floor."""
+    """A block for each run: a column for each component; rows before, after, noise floor, and what is expected.
+
+    The last one where it is more than noise: loads that rest on the declaration are not known better.
+    """
     if not hold_out:
         return
     yield "Errors on hold-out runs, %; interaction in brackets"
     for run, errors in hold_out.items():
         parts = {"before": errors.before, "after": errors.after, "noise": errors.noise}
+        if errors.expected is not None and errors.expected.frf_error > EXPECTED_SHOWN * errors.noise.frf_error:
+            parts["expected"] = errors.expected
         known = {*errors.after.load_error, *errors.after.interaction}
         components = [name for name in COMPONENTS if name in known]
         yield f"   {run:<16}" + "".join(f"{title:>{COLUMN_WIDTH}}" for title in (*components, "response"))
@@ -187,7 +194,7 @@ def _hold_out_text(hold_out: dict[str, HoldOut]) -> Iterator[str]:
 def _component_text(errors: RunErrors, component: str) -> str:
     if component in errors.load_error:
         return _percent(errors.load_error[component])
-    return f"({_percent(errors.interaction[component])})"
+    return f"({_percent(errors.interaction[component])})" if component in errors.interaction else "-"
 
 
 def _percent(ratio: float) -> str:

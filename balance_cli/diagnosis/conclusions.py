@@ -105,14 +105,21 @@ def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_a
 
 
 def is_described(errors: HoldOut, settings: SearchSettings) -> bool:
-    """Return whether the updated model describes a run, response and loads, to within its noise or a small error."""
+    """Return whether the updated model describes a run, response and loads.
+
+    It does to within the noise of the run, a small error, or the error of parameters that the fitted runs hardly
+    inform: what no sweep has excited rests on its declaration.
+    """
     limits = settings.hold_out
-    pairs = (
-        (errors.after.frf_error, errors.noise.frf_error),
-        (_rms(errors.after.load_error.values()), _rms(errors.noise.load_error.values())),
+    after, noise, expected = (
+        (0.0, 0.0) if part is None else (part.frf_error, _rms(part.load_error.values()))
+        for part in (errors.after, errors.noise, errors.expected)
     )
     return not any(
-        error > limits.undescribed_error and error > limits.undescribed_noise_ratio * noise for error, noise in pairs
+        error > limits.undescribed_error
+        and error > limits.undescribed_noise_ratio * by_noise
+        and error > limits.undescribed_expected_ratio * by_parameters
+        for error, by_noise, by_parameters in zip(after, noise, expected, strict=True)
     )
 
 

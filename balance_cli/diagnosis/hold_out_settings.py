@@ -29,5 +29,8 @@ class HoldOutSettings:
     """Error after over that of the noise alone, below which the run cannot contradict: it is described."""
     undescribed_noise_ratio: float = 10.0
     """The same, above which a run is not described: fitted parameters leave up to three times the noise."""
+    undescribed_expected_ratio: float = 4.0
+    """Error over that expected of noise and parameters, above which a run is not described: where one parameter makes
+    it, four of its standard deviations."""
     undescribed_error: float = 2e-3
     """Relative error below which a run is described: the accuracy class of good force cells."""

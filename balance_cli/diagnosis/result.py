@@ -155,12 +155,15 @@ class HoldOut:
     """Errors of a run that no fit has used, before and after updating; `noise`: those that its noise alone causes.
 
     `other_set_up`: what of the updated model is not in the set-up of this run, in words; None where all of it is.
+    `expected`: the errors that noise and the covariance of the updated model's parameters make; None in artefacts of
+    versions up to 0.2, and of sweeps.
     """
 
     before: RunErrors
     after: RunErrors
     noise: RunErrors
     other_set_up: str | None = field(default=None, metadata={"omit_if_none": True})
+    expected: RunErrors | None = field(default=None, metadata={"omit_if_none": True})
 
 
 CHANNEL, RUN = "channel", "run"

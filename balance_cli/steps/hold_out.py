@@ -19,12 +19,13 @@ from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contr
 from balance_cli.io.errors import UserError
 from balance_cli.model.exciter_loads import true_load_matrices
 from balance_cli.model.system_response import solve
-from balance_cli.reduction.check_errors import check_errors
+from balance_cli.reduction.check_errors import HARMONICS_COMPARED, check_errors
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
+from balance_cli.reduction.weighted_least_squares import SolvedLoads
 
 ComplexArray = NDArray[np.complex128]
 
@@ -40,8 +41,8 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     """
     require_known_loads(run)
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
-    (old, _, _), (new, noise, set_up) = errors(run, before), errors(run, after)
-    return HoldOut(old, new, noise, set_up)
+    (old, *_), (new, noise, expected, set_up) = errors(run, before), errors(run, after)
+    return HoldOut(old, new, noise, set_up, expected)
 
 
 def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -71,18 +72,31 @@ def require_known_loads(run: Run) -> None:
         raise UserError("has no `loads` to compare with", place, "loads", "Hold out a run whose loads were measured")
 
 
-def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, str | None]:
-    """Errors of a check run and their noise floor, at the harmonics from 1 on, which need no calibration; its set-up.
+def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, RunErrors | None, str | None]:
+    """Errors of a check run, their noise floor and what is expected, at the harmonics from 1 on; its set-up.
 
-    The set-up is None where it is that of the sweeps.
+    They need no calibration. The set-up is None where it is that of the sweeps.
     """
     source, geometry = model_source(model), model.geometry
     record = rotor_record(run, geometry, source)
     matrices, set_up = _choose_load_matrices(record, model)
-    loads = check_errors(
-        record.spectra, harmonic_loads(record, geometry, source), record.components, geometry, matrices
-    )
-    return (*_run_errors(loads, *_harmonic_errors(record, model, source, matrices)), set_up)
+    solution = harmonic_loads(record, geometry, source)
+    loads = check_errors(record.spectra, solution, record.components, geometry, matrices)
+    frf_error, frf_noise, frf_expected = _harmonic_errors(record, model, source, matrices)
+    error = RunErrors(loads.load_error, loads.interaction, frf_error)
+    noise = RunErrors(loads.load_noise, loads.interaction_noise, frf_noise)
+    expected = RunErrors(_expected_load_errors(loads, solution, record.components), {}, frf_expected)
+    return error, noise, expected, set_up
+
+
+def _expected_load_errors(loads: CheckErrors, solution: SolvedLoads, components: tuple[str, ...]) -> dict[str, float]:
+    """Return the errors of the applied loads that noise and the error of the response make, relative to the loads."""
+    compared = slice(0, HARMONICS_COMPARED)
+    variance = np.diagonal(solution.covariance - solution.noise_covariance, axis1=1, axis2=2)[compared]
+    square = np.mean(variance[:, : len(components)] + variance[:, len(components) :], axis=0)
+    size = np.mean(np.abs(loads.applied[1:][compared]) ** 2, axis=0)
+    of = {name: components.index(name) for name in loads.load_error}
+    return {name: float(np.hypot(loads.load_noise[name], np.sqrt(square[i] / size[i]))) for name, i in of.items()}
 
 
 def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> ComplexArray:
@@ -114,17 +128,11 @@ def _load_matrices(record: RotorRecord, model: IdentifiedModel, attached: bool) 
     return np.broadcast_to(matrices, (len(lines), 6, 6)).astype(complex)
 
 
-def _run_errors(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple[RunErrors, RunErrors]:
-    return (
-        RunErrors(loads.load_error, loads.interaction, frf_error),
-        RunErrors(loads.load_noise, loads.interaction_noise, frf_noise),
-    )
-
-
 def _harmonic_errors(
     record: RotorRecord, model: IdentifiedModel, source: ResponseSource, matrices: ComplexArray
-) -> tuple[float, float]:
-    """Relative rms of the measured channels minus the response times the applied loads, and its noise floor.
+) -> tuple[float, float, float]:
+    """Relative rms of the measured channels minus the response times the applied loads, its noise floor, and both that
+    and the error of the response.
 
     The anti-alias filter is the same in channels and loads, and cancels.
     """
@@ -139,10 +147,14 @@ def _harmonic_errors(
     covariance = spectra.covariance[1:][:, columns][:, :, columns]
     size, error = (np.linalg.norm(np.einsum("hrc,hc->hr", part, recorded)) for part in (measured, residual))
     noise = np.sqrt(np.real(np.einsum("hrc,hcd,hrd->", residual, covariance, residual.conj())))
-    return float(error / size), float(noise / size)
+    loads = np.einsum("hij,hj->hi", matrices[1:], recorded[:, -len(COMPONENTS) :])
+    of_response = source.covariance(spectra.frequency_hz[1:], record.spin, loads)
+    rows = np.array([*channel_combination.rows]) + np.array([[0], [of_response.shape[1] // 2]])
+    response_error = np.sqrt(np.diagonal(of_response, axis1=1, axis2=2)[:, rows].sum())
+    return float(error / size), float(noise / size), float(np.hypot(noise, response_error) / size)
 
 
-def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, None]:
+def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, None, None]:
     """Relative error of the response of a sweep, as in the quality of a fit, and its noise floor.
 
     The contribution of nonlinear forces is removed from the record first. In a record that does not repeat it would
@@ -152,8 +164,8 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     try:
         run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     except np.linalg.LinAlgError:
-        return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0), None
+        return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0), None, None
     spectra = measured_spectra([run], model.geometry, means=False).in_band(model.band)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]
-    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor), None
+    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor), None, None

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.conclusions import judge_hold_out
+from balance_cli.diagnosis.conclusions import is_described, judge_hold_out
 from balance_cli.diagnosis.result import EXPLAINED
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.model_sources import model_source
@@ -48,6 +49,24 @@ def test_a_right_model_comes_near_the_noise_and_a_wrong_one_does_not(errors):
         assert sum(before.values()) > 20 * sum(after.values())
     assert errors.noise.frf_error < errors.after.frf_error < 5e-3
     assert errors.before.frf_error > 0.05
+
+
+def test_what_no_sweep_informs_is_expected_to_be_off_by_its_tolerance(campaign, identified):
+    """The declared rig is off by what its tolerances permit; an identified one by little more than noise."""
+    run, declared = campaign.runs_of_kind("check")[0], computed(campaign.geometry)
+    errors, known = hold_out_errors(run, declared, declared), hold_out_errors(run, identified, identified)
+    assert errors.after.frf_error > 50 * errors.noise.frf_error
+    assert 0.2 < errors.after.frf_error / errors.expected.frf_error < 4
+    ratios = np.array(
+        [errors.after.load_error[name] / errors.expected.load_error[name] for name in errors.after.load_error]
+    )
+    assert 0.1 < np.sqrt(np.mean(ratios**2)) < 3
+    assert is_described(errors, DEFAULT_SETTINGS)
+    assert not is_described(replace(errors, expected=None), DEFAULT_SETTINGS)
+    assert (
+        known.noise.frf_error < known.expected.frf_error < 0.01 * errors.expected.frf_error + 5 * known.noise.frf_error
+    )
+    assert known.expected.load_error.keys() == known.after.load_error.keys()
 
 
 def test_the_error_of_the_response_is_that_of_the_true_rig(campaign, identified, errors):
