@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.import_map import MappedRotor
 from balance_cli.io.errors import UserError
+from balance_cli.io.units import FREQUENCY, parse_unit
 from balance_cli.signals.rotor.tachometer import (
     AnalogLowPass,
     RotorReference,
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 def rotor_reference(finder: ChannelFinder, rotor: MappedRotor, timeline: Timeline, place: str) -> RotorReference:
     """The 1/rev pulses from the first sample of the run on. Raises UserError where they cannot be found."""
     source = finder.find(rotor.channel)
+    _refuse_speed(source, rotor, place)
     try:
         if rotor.kind == "times":
             reference = read_rotor_reference(
@@ -42,6 +44,21 @@ def rotor_reference(finder: ChannelFinder, rotor: MappedRotor, timeline: Timelin
     times = reference.pulse_times + begin - timeline.start
     inside = (times >= 0.0) & (times <= (timeline.samples - 1) / timeline.rate)
     return replace(reference, pulse_times=times[inside])
+
+
+def _refuse_speed(source: FoundChannel, rotor: MappedRotor, place: str) -> None:
+    """Raise UserError for a channel in rpm or Hz: the speed tells no azimuth."""
+    try:
+        parse_unit(source.unit, FREQUENCY)
+    except UserError:
+        return
+    if rotor.kind == "pulses":
+        fault = f"is in {source.unit}: a speed, which tells no azimuth"
+        remedy = (
+            "Give the channel of the pulses; without one leave `rotor` out, state `rotor_speed: 0`, and reduce at "
+            "`--frequencies` or within a `--band`"
+        )
+        raise UserError(fault, str(source.file.path), f"channel `{rotor.channel}` ({place} of the map)", remedy)
 
 
 def _column(source: FoundChannel, start: int, stop: int) -> Array:

@@ -33,6 +33,8 @@ from balance_cli.steps.import_timeline import Clock, Timeline, common_timeline, 
 Array = NDArray[np.float64]
 
 KINDS_WITH_ROTOR = ("check", "wind")
+FASTEST_ALIAS = 10.0
+"""Speed over that of the pulses, below which a rotor may be meant: nobody is mistaken about it by more."""
 BLOCK = 65536
 """Samples that are held at once: 16 MB with 32 signals."""
 LEVEL_DIGITS = 6
@@ -234,6 +236,11 @@ def _with_pulses(run: Run, reference: RotorReference, stated: float | None, note
     additions = replace(run.additions or RunAdditions(), azimuth_error_deg=reference.azimuth_error_deg)
     run = replace(run, additions=additions)
     if stated is None:
+        if reference.alias_rate < FASTEST_ALIAS * reference.mean_rate:
+            faster, slower = (f"{speed:.4g} Hz" for speed in (reference.alias_rate, reference.mean_rate))
+            fault = f"pulses of a rotor at {faster} look the same as these of {slower}"
+            remedy = "The tachometer has few samples for each pulse: state `rotor_speed` in the entry of the run"
+            raise UserError(fault, run.file, "rotor", remedy)
         speed = float(f"{reference.mean_rate:.6g}")
         notes.append(f"rotor speed {speed:g} Hz, the mean rate of the pulses")
         return replace(run, pulse_times=reference.pulse_times, rotor_speed=speed)

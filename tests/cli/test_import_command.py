@@ -503,3 +503,25 @@ def test_channels_of_files_with_and_without_a_second_group(tmp_path):
     runs = {name: open_run(tmp_path / "runs" / f"{name}-1.h5") for name in ("zero", "wind")}
     assert runs["zero"].channel_names == runs["wind"].channel_names == ("a",)
     assert runs["wind"].rotor_speed == pytest.approx(17.5, rel=1e-3)
+
+
+def test_a_speed_is_no_tachometer(tmp_path):
+    write_wind_hdf5(tmp_path / "record", duration=1.0)
+    with h5py.File(tmp_path / "record", "r+") as file:
+        file["tacho"].attrs["unit"] = "rpm"
+        file["tacho"][:] = 1050.0 + np.random.default_rng(1).normal(size=len(file["tacho"]))
+    result = run_import(tmp_path, wind_map(), tmp_path / "record", status=2)
+    assert "is in rpm: a speed, which tells no azimuth" in result.stderr and "rotor_speed: 0" in result.stderr
+
+
+def test_an_encoder_with_few_samples_for_each_pulse_needs_a_speed(tmp_path):
+    rotor = write_wind_hdf5(tmp_path / "record", duration=2.0)
+    with h5py.File(tmp_path / "record", "r+") as file:
+        time = np.arange(len(file["tacho"])) / 20_000.0
+        file["tacho"][:] = 5.0 * ((180 * rotor.azimuth(time) / (2 * np.pi)) % 1.0 < 0.5)
+    mapping = wind_map()
+    mapping["rotor"]["pulses_per_revolution"] = 180
+    result = run_import(tmp_path, mapping, tmp_path / "record", status=2)
+    assert "look the same as these" in result.stderr and "state `rotor_speed`" in result.stderr
+    mapping["runs"][0]["rotor_speed"] = 17.5
+    run_import(tmp_path, mapping, tmp_path / "record")

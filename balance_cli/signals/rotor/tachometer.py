@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -24,8 +24,17 @@ from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
 Array = NDArray[np.float64]
 
 GAP_RATIO = 1.5
-"""Interval over the median of its neighbors from which a tooth is missing, and width over the median width of a wide
-pulse: halfway between one and two."""
+"""Interval over the median of its neighbors from which a tooth is missing, and ratio of two widths from which pulses
+are of two kinds: halfway between one and two."""
+EQUAL_STATES = 0.1
+"""Share of a period by which two states differ at most that noise or the level may take for each other: a sine."""
+FEW_INDICES = 0.75
+"""Pulses of one width over those of the other, below which the former are the index: halfway between one index in two
+pulses, which is the wide one, and one in three."""
+FEWEST_SAMPLES = 6.0
+"""Samples of a pulse and its pause, from which its edges are sure: those of a sampled step are off by half a sample."""
+RESOLVED_SAMPLES = 2.5
+"""The same, below which pulses that come faster than half the sample rate look nearly alike."""
 MOST_EXAMINED = 2**16
 """Samples by which an angle is told from pulses: a minute at 1 kHz."""
 NEIGHBORS = 9
@@ -71,6 +80,7 @@ class RotorReference:
 
     `azimuth_error_deg` is one standard deviation of the azimuth at a pulse, `scatter_deg` that of a pulse before
     smoothing over `window` revolutions. A constant error (of the mark on the shaft, of the level) is in neither.
+    `alias_rate` [Hz]: speed of a faster rotor whose pulses, sampled as these, look the same.
     """
 
     pulse_times: Array = field(repr=False)
@@ -79,6 +89,7 @@ class RotorReference:
     scatter_deg: float
     window: float
     notes: tuple[str, ...]
+    alias_rate: float = float("inf")
 
 
 def read_rotor_reference(read: ReadSamples, samples: int, rate: float, settings: TachometerSettings) -> RotorReference:
@@ -90,12 +101,14 @@ def read_rotor_reference(read: ReadSamples, samples: int, rate: float, settings:
         times, notes = revolution_crossings(read, samples, rate, settings.counts_per_revolution or 360.0)
     else:
         times, notes = _pulse_times(read, samples, rate, settings)
+    is_encoder = settings.kind == "pulses" and settings.pulses_per_revolution > 1
     try:
         azimuth = azimuth_from_pulses(times, smooth=False)
     except UserError as error:
         remedy = COUNTS_REMEDY if settings.kind == "counts" else PULSES_REMEDY
         raise UserError(error.fault, place="tachometer", remedy=remedy) from error
-    return _reference(azimuth, notes, settings)
+    alias = rate / settings.pulses_per_revolution - azimuth.mean_rate if is_encoder else float("inf")
+    return replace(_reference(azimuth, notes, settings), alias_rate=alias)
 
 
 def _reference(azimuth: Azimuth, notes: list[str], settings: TachometerSettings) -> RotorReference:
@@ -133,13 +146,17 @@ def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: Tachome
     if settings.level is None and settings.slope == "auto":
         _refuse_angle(read(0, min(samples, MOST_EXAMINED)))
     edges = find_edges(read, samples, rate, levels)
-    rising = settings.slope == "rising" or (settings.slope == "auto" and _is_high_shorter(edges))
+    high = _share_of_high(edges)
+    is_even = settings.slope == "auto" and abs(2.0 * high - 1.0) <= EQUAL_STATES
+    rising = settings.slope == "rising" or (settings.slope == "auto" and (is_even or high <= 0.5))
     leading, trailing = (edges.rising, edges.falling) if rising else (edges.falling, edges.rising)
     if len(leading) < 3:
         fault = f"crosses the level {levels.level:.4g} only {len(leading)} times"
         raise UserError(fault, place="tachometer", remedy="Correct `level` and `hysteresis`, or give another channel")
     notes = [f"pulses are the {'rising' if rising else 'falling'} edges at {levels.level:.4g}"]
-    times, more = _once_per_revolution(leading, trailing, settings)
+    if is_even:
+        notes.append("high and low state are about equally long: state `slope` if azimuth 0 is at the falling edges")
+    times, more = _once_per_revolution(leading, trailing, settings, rate)
     if settings.low_pass is not None:
         share = levels.share if rising else 1.0 - levels.share
         lag = _low_pass_lag(settings.low_pass, share)
@@ -166,30 +183,37 @@ def _check_levels(levels: Levels) -> None:
         raise UserError(fault, place="tachometer", remedy="Correct `level`, or leave it out")
 
 
-def _is_high_shorter(edges: Edges) -> bool:
-    """Whether the signal is high for less than half the time: then a pulse begins with a rising edge."""
+def _share_of_high(edges: Edges) -> float:
+    """Return the share of a period in which the signal is high; where it is at most half, pulses begin by rising."""
     if not len(edges.rising) or not len(edges.falling):
-        return True
+        return 0.0
     after = np.searchsorted(edges.falling, edges.rising)
     sound = after < len(edges.falling)
     widths = edges.falling[after[sound]] - edges.rising[sound]
     intervals = np.diff(edges.rising)
-    return not len(widths) or not len(intervals) or float(np.median(widths)) <= 0.5 * float(np.median(intervals))
+    return float(np.median(widths) / np.median(intervals)) if len(widths) and len(intervals) else 0.0
 
 
-def _once_per_revolution(leading: Array, trailing: Array, settings: TachometerSettings) -> tuple[Array, list[str]]:
+def _once_per_revolution(
+    leading: Array, trailing: Array, settings: TachometerSettings, rate: float
+) -> tuple[Array, list[str]]:
     """The pulses at which the azimuth is zero."""
     count = settings.pulses_per_revolution
     if settings.index == "gap":
         return _behind_gaps(leading, count)
     if settings.index == "wide":
-        return _wide_pulses(leading, trailing)
+        return _wide_pulses(leading, trailing, count)
     if count == 1:
         return leading, []
+    samples = rate * float(np.median(np.diff(leading)))
+    faster = f"They come every {samples:.2g} samples: sample them faster, or give a channel of 1/rev pulses"
+    if samples < RESOLVED_SAMPLES:
+        raise UserError("pulses are not resolved", place="tachometer", remedy=faster)
     try:
         teeth = azimuth_from_pulses(leading, smooth=False)
     except UserError as error:
-        raise UserError(error.fault, place="tachometer", remedy=PULSES_REMEDY) from error
+        remedy = faster if samples < FEWEST_SAMPLES else PULSES_REMEDY
+        raise UserError(error.fault, place="tachometer", remedy=remedy) from error
     notes = [f"azimuth 0 is at the first of {count} pulses a revolution: there is no index that shows which one it is"]
     notes += [note for note in teeth.notes if not note.startswith("pulses scatter")]
     return teeth.time_of(np.arange(0, teeth.turns + 1, count)), notes
@@ -204,22 +228,27 @@ def _behind_gaps(leading: Array, count: int) -> tuple[Array, list[str]]:
     if len(gaps) < 3:
         raise UserError(f"has only {len(gaps)} gaps", place="tachometer", remedy=INDEX_REMEDY)
     between = np.diff(gaps)
-    wrong = int(np.sum(between % (count - 1) != 0)) if count > 1 else 0
+    present = count - (round(float(np.median(intervals[gaps] / usual[gaps]))) - 1)  # a wheel 60-2 has 58
+    wrong = int(np.sum(between % max(present, 1) != 0))
     if wrong > len(between) // 2:
-        fault = f"{int(np.median(between))} pulses from gap to gap, where {count - 1} were expected"
+        fault = f"{int(np.median(between))} pulses from gap to gap, where {present} were expected"
         raise UserError(fault, place="tachometer", remedy=INDEX_REMEDY)
-    notes = [f"{wrong} revolutions do not have {count - 1} pulses and a gap"] if wrong else []
+    notes = [f"{wrong} revolutions do not have {present} pulses and a gap"] if wrong else []
     return leading[gaps + 1], notes
 
 
-def _wide_pulses(leading: Array, trailing: Array) -> tuple[Array, list[str]]:
+def _wide_pulses(leading: Array, trailing: Array, count: int) -> tuple[Array, list[str]]:
+    """The pulses of the width that fewer have; of two a revolution the wide ones."""
     after = np.searchsorted(trailing, leading)
     sound = after < len(trailing)
     starts, widths = leading[sound], trailing[after[sound]] - leading[sound]
-    usual = float(np.median(widths))
-    index = (widths > GAP_RATIO * usual) | (widths < usual / GAP_RATIO)
-    if index.sum() < 3:
-        raise UserError(f"has only {int(index.sum())} pulses of another width", place="tachometer", remedy=INDEX_REMEDY)
+    few = 0.5 / count if count > 1 else 0.5 / max(len(widths), 1)
+    narrow, wide = np.quantile(widths, [few, 1.0 - few]) if len(widths) else (1.0, 1.0)
+    is_wide = widths > np.sqrt(narrow * wide)
+    index = ~is_wide if (~is_wide).sum() < FEW_INDICES * is_wide.sum() else is_wide
+    found = int(index.sum()) if wide > GAP_RATIO * narrow else 0
+    if found < 3:
+        raise UserError(f"has only {found} pulses of another width", place="tachometer", remedy=INDEX_REMEDY)
     return starts[index], []
 
 

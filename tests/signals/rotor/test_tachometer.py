@@ -201,3 +201,50 @@ def test_an_angle_that_a_filter_has_smeared_is_refused(cutoff):
 def test_other_signals_have_pulses(shape):
     samples, _ = signal(1000.0, shape, noise=0.01, filtered=False)
     assert len(reference(samples, 1000.0).pulse_times) == pytest.approx(8 * 17.5, abs=2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_two_equal_states_the_rising_edge_counts(seed):
+    """Noise decided which of the two was shorter: runs of one campaign were half a revolution apart."""
+    time = np.arange(80_000) / 10_000.0
+    samples = np.sin(ROTOR.azimuth(time)) + 0.01 * np.random.default_rng(seed).standard_normal(len(time))
+    found = reference(samples, 10_000.0)
+    assert np.abs(azimuth_errors(found.pulse_times)).max() < 1.0
+    assert any("about equally long: state `slope`" in note for note in found.notes)
+    sound, low_pass = signal(20000.0, pulse(0.4), duration=2.0)
+    assert not any("equally" in note for note in reference(sound, 20000.0, low_pass=low_pass).notes)
+
+
+def test_two_missing_teeth_are_the_index():
+    """A wheel of 60 less 2 teeth, as of an engine, was refused."""
+    shape = lambda psi: ((psi * 60) % 1.0 < 0.5) & (np.floor((psi % 1.0) * 60) < 58)  # noqa: E731
+    samples, low_pass = signal(50_000.0, shape, duration=3.0)
+    found = reference(samples, 50_000.0, pulses_per_revolution=60, index="gap", low_pass=low_pass)
+    assert np.abs(azimuth_errors(found.pulse_times)).max() < 0.2
+
+
+@pytest.mark.parametrize("wide", [0.2, 0.05])
+def test_of_two_pulses_the_wide_one_is_the_index_at_any_speed(wide):
+    """The median of as many wide as narrow pulses is one or the other, by the speed: the run was refused."""
+    rotor = RotorKinematics(17.5, drift=0.03)
+    shape = lambda psi: (psi * 2) % 1.0 < np.where(psi % 1.0 < 0.5, wide, 0.1)  # noqa: E731
+    samples, low_pass = signal(20000.0, shape, rotor=rotor)
+    found = reference(samples, 20000.0, pulses_per_revolution=2, index="wide", low_pass=low_pass)
+    azimuth = np.degrees(rotor.azimuth(found.pulse_times)) - (0.0 if wide > 0.1 else 180.0)
+    assert np.abs((azimuth + 180.0) % 360.0 - 180.0).max() < 1.0
+
+
+@pytest.mark.parametrize("rate", [14_000.0, 12_000.0, 10_000.0, 8000.0])
+def test_an_encoder_that_was_sampled_slowly_is_refused_or_states_the_speed_that_it_may_be(rate):
+    """Pulses faster than half the sample rate look like slower ones: 12 kHz made 15.7 Hz of 17.6 Hz, without a word."""
+    samples, _ = signal(rate, pulse(0.5, 360), duration=2.0, filtered=False)
+    try:
+        assert reference(samples, rate, pulses_per_revolution=360).alias_rate == pytest.approx(17.61, rel=1e-3)
+    except UserError as error:
+        assert rate > 11_000.0 and "1/rev" in error.remedy
+
+
+def test_an_encoder_that_was_sampled_fast_is_no_other():
+    samples, _ = signal(100_000.0, pulse(0.5, 360), duration=2.0, filtered=False)
+    found = reference(samples, 100_000.0, pulses_per_revolution=360)
+    assert found.mean_rate == pytest.approx(17.61, rel=1e-3) and found.alias_rate > 10 * found.mean_rate
