@@ -62,6 +62,24 @@ def _place_by_name(points: LoadPoints, geometry: Geometry) -> LoadPoints:
     return LoadPoints(points.names, direction, np.array([point.position for point in declared], float))
 
 
+def points_beside_shaft(run: Run, geometry: Geometry) -> tuple[str, ...]:
+    """Return the points whose force has a moment about a shaft that passes the plate.
+
+    Their forces are taken as hub loads, whose moment about that axis goes through the torque meter. A force on the
+    plate itself turns the plate instead. Points that move are not judged.
+    """
+    points = None if run.additions is None else run.additions.load_points
+    axes = ["xyz".index(meter.axis) for meter in geometry.shaft_meters if meter.carried_by == "ground"]
+    if points is None or not axes or any(load_point_faults(run, geometry)):
+        return ()
+    placed = _place_by_name(points, geometry)
+    if placed.position is None:
+        return ()
+    arms = np.cross(placed.position - np.array(geometry.hub), placed.unit_directions)[:, axes]
+    beside = np.abs(arms).max(axis=1) > POSITION_TOLERANCE
+    return tuple(name for name, is_beside in zip(placed.names, beside, strict=True) if is_beside)
+
+
 def load_point_faults(run: Run, geometry: Geometry) -> Iterator[UserError]:
     """Faults of the points of a run against those that the geometry declares under the same names."""
     points = None if run.additions is None else run.additions.load_points

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from balance_cli.campaign.recording.loaded_tares import describe_loaded_tares
+from balance_cli.campaign.recording.point_loads import points_beside_shaft
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -63,7 +65,21 @@ def campaign_findings(
         return tuple(tares)
     rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
     findings = findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
+    beside = {run.name: names for run in runs if (names := points_beside_shaft(run, geometry))}
+    findings = tuple(_with_shaft_hint(finding, beside) for finding in findings)
     return (*findings, *tares, *noise_findings(runs, geometry.channel_names, stored_noise))
+
+
+def _with_shaft_hint(finding: ConsistencyFinding, beside: Mapping[str, tuple[str, ...]]) -> ConsistencyFinding:
+    """Return a finding of runs with forces beside the shaft with the other way in which that may come about."""
+    points = dict.fromkeys(name for run in finding.runs for name in beside.get(run, ()))
+    if not points:
+        return finding
+    hint = (
+        f"unless {', '.join(points)} {'is' if len(points) == 1 else 'are'} on the plate: a moment about the shaft is "
+        "taken to go through the torque meter, so forces on the plate must be in line with the shaft"
+    )
+    return replace(finding, text=f"{finding.text} ({hint})")
 
 
 def _loaded_tare(run: Run, text: str) -> ConsistencyFinding:
