@@ -226,6 +226,15 @@ def test_chances_of_statics_are_even():
     assert min(found) > 1e-4
 
 
+def test_one_force_beside_the_hub_tells_no_responses_at_rest():
+    """Its loads have one proportion in all lines: a singular matrix had ended the diagnosis with an internal error."""
+    both = excited_together(np.ones((len(FREQUENCY), 2), bool))
+    one_force = replace(both, loads=both.loads[:, :1] * np.array([1.0, 0.25]))
+    assert static_tests([one_force], [static()], RIG, float(MODES[0]), SETTINGS.data_tests) == []
+    swept = static_tests([one_force, swept_lines()], [static()], RIG, float(MODES[0]), SETTINGS.data_tests)
+    assert [row.place for row in swept] == ["static: Fz"] and swept[0].finding == "equal"
+
+
 def test_two_components_at_once_are_told_apart():
     """All lines carry both loads: the smoothness of the responses separates them."""
     both = excited_together(np.ones((len(FREQUENCY), 2), bool))

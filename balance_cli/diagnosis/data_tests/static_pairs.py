@@ -99,11 +99,14 @@ def _extrapolate_run(
     similar_runs: int,
     settings: StaticPairSettings,
 ) -> dict[str, _StaticResponse]:
-    """Responses of one run at frequency zero; the error of higher terms is the same in all similar runs."""
+    """Responses of one run at frequency zero; the error of higher terms is the same in all similar runs.
+
+    None where its loads are one force at a point beside the hub: their responses are not told apart.
+    """
     low = np.flatnonzero((run.frequency > 0) & (run.frequency <= settings.max_frequency_share * lowest_mode))
     dc = [path for path in dc if path.channel in run.channel_names]
     u = len(run.components)
-    if len(low) < settings.min_lines * u or not dc:
+    if len(low) < settings.min_lines * u or not dc or not _are_independent(run.loads[low], settings.max_condition):
         return {}
     c = len(run.channel_names)
     signals = np.array([*(run.channel_names.index(path.channel) for path in dc), *range(c, c + u)])
@@ -116,6 +119,12 @@ def _extrapolate_run(
         component: _StaticResponse(names, value[j], covariance[j], 2.0 * run.dof)
         for j, component in enumerate(run.components)
     }
+
+
+def _are_independent(loads: ComplexArray, max_condition: float) -> bool:
+    """Whether the loads (K, u) of lines are of other proportions from line to line."""
+    size = np.linalg.norm(loads, axis=0)
+    return bool(np.all(size > 0.0) and np.linalg.cond(loads / size) < max_condition)
 
 
 def _fit_power_series(
