@@ -15,7 +15,7 @@ from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change
-from balance_cli.signals.rotor.common_change import CommonChange, common_change
+from balance_cli.signals.rotor.common_change import CommonChange, changes_of_columns, common_change
 from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, sigma_if_steady, unsteady, windowed_amplitudes
 
 Array = NDArray[np.float64]
@@ -146,8 +146,7 @@ def _change_of_channel(windows: WindowedAmplitudes, start: int) -> tuple[CommonC
     change of the loads; these do not change all harmonics of one channel alike. A channel that ceases looks like the
     end of a transient, so that the windows before the interval are examined, too.
     """
-    for c, name in enumerate(windows.names):
-        change = common_change(windows.values[:, 1:, [c]])
+    for name, change in zip(windows.names, changes_of_columns(windows.values[:, 1:]), strict=True):
         if change is not None:
             return replace(change, window=change.window - start), f" of {name}"
     return None, ""

@@ -55,28 +55,38 @@ def common_change(values: ComplexArray) -> CommonChange | None:
 
     Of all moments at which they change alike it is that of the largest change that they share best.
     """
+    order = np.repeat(np.arange(1, values.shape[1] + 1), values.shape[2])
+    return _changes_of_groups(values.reshape(len(values), -1, 1), order)[0]
+
+
+def changes_of_columns(values: ComplexArray) -> list[CommonChange | None]:
+    """Return the same of each column of amplitudes (w, n, m) alone, all at once."""
+    return _changes_of_groups(values, np.arange(1, values.shape[1] + 1))
+
+
+def _changes_of_groups(values: ComplexArray, order: NDArray[np.intp]) -> list[CommonChange | None]:
+    """Return the change that the amplitudes (w, r, g) of each group have in common, of harmonics `order` (r,)."""
     splits = np.arange(FEWEST_WINDOWS, len(values) - FEWEST_WINDOWS + 1)
     if not len(splits):
-        return None
-    flat = values.reshape(len(values), -1)
-    order = np.repeat(np.arange(1, values.shape[1] + 1), values.shape[2])
-    before, after, error = _split_means(flat, splits)
+        return [None] * values.shape[2]
+    before, after, error = _split_means(values, splits)
     is_clear = error < KNOWN_SHARE * np.abs(before)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio, relative_error = after / before, error / np.abs(before)
     clear = np.count_nonzero(is_clear, axis=1)
     changed = np.count_nonzero(is_clear & (np.abs(ratio - 1.0) > LEAST_CHANGE), axis=1)
-    candidates = []
-    for i in np.flatnonzero((clear >= FEWEST_AMPLITUDES) & (2 * changed > clear)).tolist():  # none in most records
-        rows = is_clear[i]
-        change = _change_at(ratio[i, rows], relative_error[i, rows], order[rows], int(splits[i]))
-        candidates += [] if change is None else [change]
-    candidates += _pooled_factor(before, after, error, splits)
+    candidates: list[list[CommonChange]] = [[] for _ in range(values.shape[2])]
+    for i, g in np.argwhere((clear >= FEWEST_AMPLITUDES) & (2 * changed > clear)).tolist():  # none in most records
+        rows = is_clear[i, :, g]
+        change = _change_at(ratio[i, rows, g], relative_error[i, rows, g], order[rows], int(splits[i]))
+        candidates[g] += [] if change is None else [change]
+    for g, change in _pooled_factors(before, after, error, splits):
+        candidates[g].append(change)
 
     def shared_change(change: CommonChange) -> float:
         return change.size * (1.0 - change.misfit / ALIKE_DEPARTURE) * float(np.sqrt(_balance(change.window, values)))
 
-    return max(candidates, key=shared_change, default=None)
+    return [max(of_group, key=shared_change, default=None) for of_group in candidates]
 
 
 def _balance(window: int, values: ComplexArray) -> int:
@@ -85,13 +95,13 @@ def _balance(window: int, values: ComplexArray) -> int:
 
 
 def _split_means(values: ComplexArray, splits: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Return the means (s, r) of amplitudes (w, r) before and after each split, and the error of their difference.
+    """Return the means (s, r, g) of amplitudes (w, r, g) before and after each split, and the error of their change.
 
     The error is the standard error of a real component.
     """
     values = values - (middle := values.mean(axis=0))
     total, squares = np.cumsum(values, axis=0), np.cumsum(np.abs(values) ** 2, axis=0)
-    counts = [splits[:, None], len(values) - splits[:, None]]
+    counts = [splits[:, None, None], len(values) - splits[:, None, None]]
     sums = [total[splits - 1], total[-1] - total[splits - 1]]
     powers = [squares[splits - 1], squares[-1] - squares[splits - 1]]
     means = [sum_ / count for sum_, count in zip(sums, counts, strict=True)]
@@ -116,10 +126,10 @@ def _change_at(ratio: ComplexArray, relative_error: Array, order: NDArray[np.int
     return CommonChange(factor, float(np.angle(np.exp(1j * turn))), k, size, float(np.median(missed)))
 
 
-def _pooled_factor(
+def _pooled_factors(
     before: ComplexArray, after: ComplexArray, error: Array, splits: NDArray[np.intp]
-) -> list[CommonChange]:
-    """Return the factor that all amplitudes (s, r) share after the split that shows it best; empty where there is none.
+) -> list[tuple[int, CommonChange]]:
+    """Return the groups whose amplitudes (s, r, g) share a factor, and that after the split that shows it best.
 
     Gusts hide a tenth in each amplitude, but not in their weighted mean.
     """
@@ -135,10 +145,12 @@ def _pooled_factor(
     size, sigma = np.abs(factor - 1.0), total**-0.5
     is_common = (size > LEAST_CHANGE) & (sigma < KNOWN_SHARE * size)
     is_common &= (shared_by >= FEWEST_AMPLITUDES) & (departure < POOLED_DEPARTURE)
-    if not np.any(is_common):
-        return []
-    i = int(np.argmax(np.where(is_common, size / sigma, 0.0)))
-    return [CommonChange(float(factor[i]), 0.0, int(splits[i]), float(size[i]), float(sigma[i] / size[i]))]
+    best = np.argmax(np.where(is_common, size / sigma, 0.0), axis=0)
+    return [
+        (g, CommonChange(float(factor[i, g]), 0.0, int(splits[i]), float(size[i, g]), float(sigma[i, g] / size[i, g])))
+        for g, i in enumerate(best.tolist())
+        if is_common[i, g]
+    ]
 
 
 def _expected(ratio: ComplexArray, order: NDArray[np.intp]) -> tuple[float, float, ComplexArray]:
