@@ -26,6 +26,7 @@ from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.effects import Effect
 from balance_cli.model.effects.places import channels_at
+from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.signals.run_spectrum import RunSpectrum
 
@@ -44,7 +45,8 @@ def late_channels(runs: Sequence[RunSpectrum], geometry: Geometry, settings: Sea
     present = [item.where for item in declared_effects(geometry) if _is_delay(item.effect)]
     known = {name for where in present for name in channels_at(geometry, where)}
     alone = [name for name in geometry.channel_names if name in at and name not in known]
-    delays = {name: _delay_of(at[name], runs, geometry, limits) for name in alone}
+    paths = {path.channel: path for path in declared_paths(geometry)}
+    delays = {name: _delay_of(at[name], runs, paths[name], limits) for name in alone}
     late = {name: delay for name, delay in delays.items() if delay is not None}
     found, groups = list[Candidate](), channel_groups(geometry)
     for group in sorted(groups, key=lambda name: -len(groups[name])):
@@ -73,16 +75,20 @@ def _is_delay(effect: Effect) -> bool:
 
 
 def _delay_of(
-    item: Candidate, runs: Sequence[RunSpectrum], geometry: Geometry, limits: LateChannelSettings
+    item: Candidate, runs: Sequence[RunSpectrum], path: ChannelPath, limits: LateChannelSettings
 ) -> float | None:
     """The delay [s] of the channel of a candidate, within its bounds; None where the phase shows none."""
-    (channel,), far = item.placed_effect.where, max(parameter.upper for parameter in item.placed_effect.parameters)
-    parts = [_squared_phases(channel, run, geometry, limits) for run in runs if channel in run.channel_names]
+    far = max(parameter.upper for parameter in item.placed_effect.parameters)
+    parts = [_squared_phases(path, run, limits) for run in runs if path.channel in run.channel_names]
     frequency, squared = (np.concatenate([part[i] for part in parts] or [np.zeros(0)]) for i in (0, 1))
     if len(frequency) < limits.min_lines:
         return None
     delays = np.arange(-far, far, limits.step / frequency.max())
-    score = np.array([np.mean((squared * np.exp(4j * np.pi * frequency * delay)).real) for delay in delays])
+    # Runs have the same frequencies, of which there are fewer than lines.
+    distinct, place = np.unique(frequency, return_inverse=True)
+    summed = np.bincount(place, squared.real) + 1j * np.bincount(place, squared.imag)
+    score = np.array([np.sum((summed * np.exp(4j * np.pi * distinct * delay)).real) for delay in delays])
+    score /= len(frequency)
     best, at_rest = int(np.argmax(score)), float(np.mean(squared.real))
     is_clear = (
         score[best] > limits.min_coherence and score[best] - at_rest > limits.min_gain and 0 < best < len(delays) - 1
@@ -90,15 +96,12 @@ def _delay_of(
     return float(delays[best]) if is_clear else None
 
 
-def _squared_phases(
-    channel: str, run: RunSpectrum, geometry: Geometry, limits: LateChannelSettings
-) -> tuple[Array, ComplexArray]:
+def _squared_phases(path: ChannelPath, run: RunSpectrum, limits: LateChannelSettings) -> tuple[Array, ComplexArray]:
     """Frequencies (k,) and squares (k,) of the unit phasors of a channel against the load of a run.
 
     Lines count where both are clear. The declared gain of the channel is taken out. None of several loads at once.
     """
-    path = next(path for path in declared_paths(geometry) if path.channel == channel)
-    i, count = run.channel_names.index(channel), len(run.channel_names)
+    i, count = run.channel_names.index(path.channel), len(run.channel_names)
     if len(run.components) != 1:
         return np.zeros(0), np.zeros(0, complex)
     amplitude = np.stack([run.channels[:, i], run.loads[:, 0]])
