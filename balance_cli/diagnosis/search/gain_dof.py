@@ -52,9 +52,7 @@ def _line_gains(
     s = 2.0 * np.sum((np.conj(change) * run.lines.weighted_residual).real, axis=1)
     V = 2.0 * np.sum((np.conj(change) * influence).real, axis=1)
     informative = np.flatnonzero(V > 0.0)
-    single = np.zeros((*influence.shape, len(informative)), complex)
-    single[informative, :, np.arange(len(informative))] = influence[informative]
-    dof = 2.0 / np.maximum(run.uncertainty(single), np.finfo(float).tiny)
+    dof = 2.0 / np.maximum(run.line_uncertainty(influence)[informative], np.finfo(float).tiny)
     gain, chi2 = 2.0 * s[informative] - V[informative], s[informative] ** 2 / V[informative]
     return gain, dof * (np.log1p(chi2 / dof) - np.log1p((chi2 - gain) / dof))
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import BatchDerivatives
-from balance_cli.estimation.noise_uncertainty import noise_uncertainty
+from balance_cli.estimation.noise_uncertainty import line_uncertainty, noise_uncertainty
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -82,7 +82,13 @@ class RunInformation:
 
     def uncertainty(self, influence: ComplexArray) -> Array:
         """Return the relative variance (n,) of the estimated variance of n scores, on which `influence` (K, c, n)."""
-        uncertainty = noise_uncertainty(self.batch.runs[0].noise_parts, influence)
+        return self._by_efficiency(noise_uncertainty(self.batch.runs[0].noise_parts, influence))
+
+    def line_uncertainty(self, influence: ComplexArray) -> Array:
+        """Return the same (K,) of the variance of each line alone, with `influence` (K, c)."""
+        return self._by_efficiency(line_uncertainty(self.batch.runs[0].noise_parts, influence))
+
+    def _by_efficiency(self, uncertainty: Array) -> Array:
         # The combinations were chosen by an inverse of the same estimate, which costs it that share of its dof.
         return uncertainty / float(self.batch.lines.efficiency[self.batch.runs[0].lines].mean())
 
