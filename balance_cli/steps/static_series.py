@@ -13,8 +13,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.load_series_reading import read_load_series
-from balance_cli.calibration.load_series_score import ScheduleRows
 from balance_cli.diagnosis.significance import DATA_TEST_LEVEL, chi2_p_value
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.signals.run_spectrum import StaticPoints
@@ -40,6 +38,10 @@ def _with_series(points: StaticPoints) -> StaticPoints:
 
 def _series_of(points: StaticPoints) -> Index:
     """Number (m,) of the load series of each row, as a calibration of this run alone reads it."""
+    # Ten modules that sweeps without static runs do not need.
+    from balance_cli.calibration.load_series_reading import read_load_series
+    from balance_cli.calibration.load_series_score import ScheduleRows
+
     m = len(points.loads)
     reading = read_load_series(
         ScheduleRows(
