@@ -27,7 +27,7 @@ CALLS = {
     "modes": (("modes", "-g", "geometry.yaml"), 180),
     "check": (("check", "wind.h5"), 160),
     "sweep-tf": (("sweep-tf", "-g", "geometry.yaml", "sweep.h5", "-o", "tf.h5"), 195),
-    "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 250),
+    "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 275),
     "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 290),
     "export": (("export", "made.h5", "-o", "made.csv"), 200),
 }

@@ -166,8 +166,8 @@ TRUTHS = {
     "asymmetric-friction": truth(
         "asymmetric-friction", ("x",), plan=campaign(), force=0.5, asymmetry=0.3, stick_stiffness=1.5e6, bias=0.005
     ),
-    "quadratic-damping": truth("quadratic-damping", ("x",), plan=campaign(), c2=1000.0),
-    "asymmetric-damping": truth("asymmetric-damping", ("x",), plan=campaign(), difference=20.0),
+    "quadratic-damping": truth("quadratic-damping", ("x",), plan=together(), c2=1000.0),
+    "asymmetric-damping": truth("asymmetric-damping", ("x",), plan=together(), difference=20.0),
     "extra-mode": TrueEffect(
         ("Fx",),
         {},
