@@ -103,9 +103,8 @@ def explain_residuals(
     likeliest = sorted(mistakes, key=_remaining)[:EXAMINED]
     share = REMAINING_WHERE_REJECTED if is_rejected else REMAINING_SHARE
     near = _explaining(likeliest, problem, samples, share, degrees)
-    if len(near) > MOST_ALTERNATIVES:
-        return ()
-    return tuple(item.description for item in near if _passes_test(_undone(item, problem)))
+    few = near if len(near) <= MOST_ALTERNATIVES else []
+    return tuple(item.description for item in few if _passes_test(_undone(item, problem)))
 
 
 def _explaining(
@@ -219,8 +218,11 @@ def _factors(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -
 
 
 def _examine(mistake: ChannelMistake, problem: LoadProblem, samples: int, error: Array | None = None) -> ChannelMistake:
-    """Return the mistake with the factor, and chi-square, by the noise that its channels have without it."""
-    residuals = _residuals(_undone(mistake, problem), samples, error)
+    """Return the mistake with the factor, and chi-square, by the noise without it; inf where no loads explain that."""
+    try:
+        residuals = _residuals(_undone(mistake, problem), samples, error)
+    except np.linalg.LinAlgError:
+        return replace(mistake, chi2=np.inf)
     if mistake.scaled is None:
         return replace(mistake, chi2=residuals.chi2)
     (inverse,), (chi2,), (worth,) = residuals.divisors(mistake.scaled[None])

@@ -101,17 +101,20 @@ def waveform_from_samples(
     """The waveform of samples (n, c) at `rate` [Hz], for bins of the given indices (R,).
 
     Each amplitude is reduced by the fraction of noise in its power, or in the mean power of those about it:
-    noise would otherwise pass for reversals of the motion, at which a contact slips. The straight line from end to end
-    of a record that does not repeat is left as it is: it has amplitudes at all frequencies.
+    noise would otherwise pass for reversals of the motion, at which a contact slips. A record that does not repeat has
+    a step between its ends, and so amplitudes at all frequencies: beyond the last that stands above the noise they are
+    those of the straight line from end to end.
     """
     n = len(samples)
-    line = np.zeros(samples.shape) if is_periodic else _end_to_end_line(samples)
-    amplitudes, volts, frequency, passed = _undo_anti_alias_filter(samples - line, rate, geometry)
+    amplitudes, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
-    smoothing_lines = 1 if is_periodic else SMOOTHING_LINES
-    volts = volts * _wiener_gain(amplitudes, variance, smoothing_lines) + _amplitudes(line)
+    gain = _wiener_gain(amplitudes, variance, 1 if is_periodic else SMOOTHING_LINES)
+    volts = volts * gain
+    if not is_periodic:
+        beyond = ~np.logical_or.accumulate((gain > 0.0)[::-1] & _is_passed(passed)[::-1, None], axis=0)[::-1]
+        volts = np.where(beyond, _amplitudes(_end_to_end_line(samples)), volts)
     share = channel_shares(geometry, lines.channel_names, frequency, variance) * _is_passed(passed)[:, None]
     return SampledWaveform(frequency, volts, share, n, bin_index, passed[bin_index])
 
