@@ -72,8 +72,6 @@ def _unnoticed_errors(run: RunLoads) -> dict[str, dict[int, dict[str, Any]]] | N
 
 def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
     """Return the keys of a run reduced in time; without tests of the innovations their keys are null."""
-    from balance_cli.reduction.kalman.innovations import rms_autocorrelation, slow_power
-
     tests = filter_result.innovations
     return {
         "load_model": filter_result.load_model,
@@ -83,8 +81,8 @@ def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
         "nis_sigma": tests.nis_sigma if tests else None,
         "whiteness": tests.whiteness if tests else None,
         "whiteness_sigma": tests.whiteness_sigma if tests else None,
-        "rms_autocorrelation": rms_autocorrelation(tests) if tests else None,
-        "slow_power": slow_power(tests) if tests else None,
+        "rms_autocorrelation": tests.rms_autocorrelation if tests else None,
+        "slow_power": tests.slow_power if tests else None,
         "channels": tests.channels if tests else {},
         "noise_v": filter_result.noise,
         "gap_notes": filter_result.gap_notes,
@@ -145,14 +143,18 @@ def _innovation_tests_text(filter_result: TimeDomainResult) -> str:
     tests = filter_result.innovations
     if tests is None:
         return "innovations not tested: no part of the record has all channels"
-    from balance_cli.reduction import trust  # not for loads by harmonics, which do without
-    from balance_cli.reduction.kalman.innovations import rms_autocorrelation, slow_power
+    from balance_cli.reduction.kalman.innovations import (
+        LARGEST_AUTOCORRELATION,
+        LARGEST_NIS,
+        LARGEST_SLOW_POWER,
+        SMALLEST_NIS,
+    )
 
-    verdict = "; they contradict the filter" if trust.filter_is_contradicted(tests) else ""
+    verdict = "; they contradict the filter" if tests.contradict_filter else ""
     return (
-        f"innovations: NIS {tests.nis:.3f} ({trust.SMALLEST_NIS:g} to {trust.LARGEST_NIS:g} is consistent), "
-        f"rms autocorrelation {rms_autocorrelation(tests):.3f} (at most {trust.LARGEST_AUTOCORRELATION:g}), "
-        f"slow power {slow_power(tests):.2f} (at most {trust.LARGEST_SLOW_POWER:g}){verdict}"
+        f"innovations: NIS {tests.nis:.3f} ({SMALLEST_NIS:g} to {LARGEST_NIS:g} is consistent), "
+        f"rms autocorrelation {tests.rms_autocorrelation:.3f} (at most {LARGEST_AUTOCORRELATION:g}), "
+        f"slow power {tests.slow_power:.2f} (at most {LARGEST_SLOW_POWER:g}){verdict}"
     )
 
 

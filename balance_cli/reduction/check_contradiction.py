@@ -7,14 +7,14 @@ rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.percent import percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
-from balance_cli.reduction.flags import MODEL_CONTRADICTED, NO_ZERO, join_flags
+from balance_cli.reduction.flags import MODEL_CONTRADICTED, NO_ZERO
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import MODEL_ERROR_SHARE
 
@@ -103,7 +103,7 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
         rows[1:] |= wrong if 2 * np.count_nonzero(wrong) < len(wrong) else True
         rows[0] |= np.array([component in self._means for component in loads.components])
         rows |= self._has_wrong_channels  # which are those of the mean loads, too
-        return replace(_flag_rows(loads, rows), notes=(*loads.notes, *self._sentences)) if rows.any() else loads
+        return loads.with_flag(MODEL_CONTRADICTED, *self._sentences, where=rows) if rows.any() else loads
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._runs)
@@ -181,11 +181,3 @@ def _variance(loads: RunLoads) -> Array:
     size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : HARMONICS_COMPARED + 1]) ** 2, axis=0))
     noise = np.array([loads.check.load_noise.get(name, 0.0) for name in loads.components]) * size
     return np.asarray(loads.sigma_cosine**2 + loads.sigma_sine**2 + noise**2)
-
-
-def _flag_rows(loads: RunLoads, rows: Mask) -> RunLoads:
-    flags = tuple(
-        tuple(join_flags((word, MODEL_CONTRADICTED)) if is_wrong else word for word, is_wrong in zip(*row, strict=True))
-        for row in zip(loads.flags, rows, strict=True)
-    )
-    return replace(loads, flags=flags)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
-from balance_cli.reduction.result import RunLoads
-from balance_cli.reduction.trust import flag_all
+from balance_cli.reduction.result import RunLoads, replace_runs
 
 MOST_NAMES = 6
 """Runs that a warning names one by one."""
@@ -37,8 +34,6 @@ def copy_warning(names: tuple[str, ...]) -> str:
 def flag_copied_runs(runs: Mapping[str, RunLoads], copies: Iterable[tuple[str, ...]]) -> Mapping[str, RunLoads]:
     """Return the loads with those of copied runs flagged: which name is that of the record, the runs do not tell."""
     flagged = {
-        name: replace(loads, notes=(*loads.notes, copy_warning(names)))
-        for names in copies
-        for name, loads in ((name, flag_all(runs[name], MODEL_CONTRADICTED)) for name in names)
+        name: runs[name].with_flag(MODEL_CONTRADICTED, copy_warning(names)) for names in copies for name in names
     }
-    return ChainMap(flagged, runs) if flagged else runs  # type: ignore[arg-type]  # which is only read
+    return replace_runs(runs, flagged)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.load_method import MATRIX
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.percent import percent_text
 from balance_cli.io.result_view import ResultView, plural, warning_lines
-from balance_cli.reduction.flags import FLAGS, SEPARATOR
+from balance_cli.reduction.flags import FILTER_CONTRADICTED, FLAGS, SEPARATOR, join_flags
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.reliability import NotableChange, UnnoticedErrors
@@ -131,6 +131,15 @@ class RunLoads(ResultView):
         counts = Counter(word for row in self.flags for words in row for word in words.split(SEPARATOR) if word)
         return {flag: counts[flag] for flag in FLAGS if counts[flag]}
 
+    def with_flag(self, flag: str, *notes: str, where: ArrayLike = True) -> RunLoads:
+        """Return the loads flagged `where` a mask that broadcasts to (n+1, m) says, with notes that say why."""
+        marked = np.broadcast_to(where, self.amplitude.shape)
+        flags = tuple(
+            tuple(join_flags((words, flag)) if is_marked else words for words, is_marked in zip(*row, strict=True))
+            for row in zip(self.flags, marked, strict=True)
+        )
+        return replace(self, flags=flags, notes=(*self.notes, *notes))
+
     @property
     def mean_loads_by(self) -> str:
         """What computed harmonic 0, in words; empty where that is not known."""
@@ -196,6 +205,16 @@ class HubLoads(ResultView):
     def to_frame(self) -> pd.DataFrame:
         """One row for each run, component and harmonic: the load table."""
         return load_table(self)
+
+
+def flag_filter(loads: RunLoads, tests: InnovationTests | None) -> RunLoads:
+    """Return the loads, all flagged where the innovations contradict the filter that estimated them."""
+    return loads.with_flag(FILTER_CONTRADICTED) if tests is not None and tests.contradict_filter else loads
+
+
+def replace_runs(runs: Mapping[str, RunLoads], replaced: Mapping[str, RunLoads]) -> Mapping[str, RunLoads]:
+    """Return the loads of runs, some of them replaced. The others are read from an artefact when they are needed."""
+    return ChainMap(replaced, runs) if replaced else runs  # type: ignore[arg-type]  # which is only read
 
 
 def _flag_counts(runs: Iterable[RunLoads]) -> str:

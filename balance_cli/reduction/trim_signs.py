@@ -7,16 +7,15 @@ loads of its size and the opposite sign are seldom meant.
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration, TrimCalibration
-from balance_cli.reduction.flags import MODEL_CONTRADICTED, join_flags
-from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.result import RunLoads, replace_runs
 
 Array = NDArray[np.float64]
 
@@ -65,16 +64,12 @@ def opposite_means(runs: Iterable[RunLoads], calibration: Calibration | None) ->
 def flag_opposite_means(runs: Mapping[str, RunLoads], opposite: Sequence[OppositeMeans]) -> Mapping[str, RunLoads]:
     """Return the loads with those of reversed components flagged, of all where all are reversed."""
     flagged = {item.run: _flag(runs[item.run], item) for item in opposite}
-    return ChainMap(flagged, runs) if flagged else runs  # type: ignore[arg-type]  # which is only read
+    return replace_runs(runs, flagged)
 
 
 def _flag(run: RunLoads, item: OppositeMeans) -> RunLoads:
     hit = [item.is_all or name in item.components for name in run.components]
-    flags = (
-        tuple(join_flags((word, MODEL_CONTRADICTED)) if is_hit else word for word, is_hit in zip(row, hit, strict=True))
-        for row in run.flags
-    )
-    return replace(run, flags=tuple(flags))
+    return run.with_flag(MODEL_CONTRADICTED, where=hit)
 
 
 def _compare(run: RunLoads, trim: TrimCalibration) -> OppositeMeans | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.channel_pairs import PairContradiction, contradicted_pairs
 from balance_cli.reduction.choices import MOST_HARMONICS
 from balance_cli.reduction.flags import (
-    FILTER_CONTRADICTED,
     MODEL_CONTRADICTED,
     NOT_STEADY,
     REDUNDANCY,
@@ -21,7 +20,6 @@ from balance_cli.reduction.flags import (
     join_flags,
 )
 from balance_cli.reduction.harmonic_loads import LoadProblem
-from balance_cli.reduction.kalman.innovations import InnovationTests, rms_autocorrelation, slow_power
 from balance_cli.reduction.record_lines import lines_of_record
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
@@ -47,18 +45,6 @@ others have less redundancy or more noise. By chance three of eight are one in t
 LEAST_LEAK = 0.3
 """What may leak into a load, over its standard deviation, that flags it: together they are 5 % larger than that. In the
 channel where the line is strongest it is so many times the noise, and so it is taken to be in the loads."""
-SMALLEST_NIS, LARGEST_NIS = 0.8, 1.25
-"""Normalized innovation squared of a filter whose sigma is right to within 12 %."""
-LARGEST_AUTOCORRELATION = 0.15
-"""Root-mean-square autocorrelation of the innovations, beyond chance, of a filter that follows its record.
-
-A line that adds the share p to their variance makes it p/(1 + p)/sqrt(2), 0.14 at the limit of the NIS. It is up to
-0.08 in records of six simulated rigs whose loads are right, probably as their fluctuation has another spectrum than the
-load model. Unlike the whiteness statistic it does not grow with the length of the record.
-"""
-LARGEST_SLOW_POWER = 2.0
-"""Spectral density of the innovations of a channel toward zero frequency, over that of white ones, where the filter
-follows slow changes: up to 1.4 on records that it follows, 2.9 after a step of a load."""
 
 
 @dataclass(frozen=True)
@@ -116,81 +102,113 @@ def _remedy(line: UnmodelledLine) -> str:
     return f"; --harmonics {line.order:.0f} reduces it too" if within_reach else ""
 
 
-def assess_trust(
-    record: RotorRecord,
-    geometry: Geometry,
-    source: ResponseSource,
-    static: TrimCalibration | None,
-    response: ComplexArray,
-    problem: LoadProblem,
-    solution: SolvedLoads,
-    sigma: Array,
-) -> Trust:
-    """Examine the loads of a record; `sigma` (n+1, m) are the standard deviations stated for them.
+@dataclass(frozen=True)
+class ReducedRecord:
+    """A record and how its loads were reduced: `sigma` (n+1, m) are the standard deviations stated for them.
 
-    `response` is its `harmonic_response`, `problem` what was solved.
-    Without a `static` calibration the mean loads are not examined.
+    `response` is the `harmonic_response` of the record, `solution` that of the `problem`; `static` the matrix of the
+    mean loads, which are not examined without one.
     """
-    shape, m = sigma.shape, sigma.shape[1]
-    untested, contradicted, rejected = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
-    untested[1:] = (solution.degrees <= 0)[:, None] | (sensor_count(geometry, record.health.live) <= m)
-    rejected[1:] = solution.misfit[:, None] | _response_is_rejected(solution)
-    contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
-    n = shape[0] - 1
-    regressed, reached = 0, np.zeros(shape, bool)
-    lines, steadiness = _lines_and_steadiness(record, geometry, source, static, response, sigma)
+
+    record: RotorRecord
+    geometry: Geometry
+    source: ResponseSource
+    static: TrimCalibration | None
+    response: ComplexArray
+    problem: LoadProblem
+    solution: SolvedLoads
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class NonperiodicContent:
+    """What a record contains that its harmonics do not: lines beside them, and steps and drifts of the loads."""
+
+    lines: tuple[UnmodelledLine, ...]
+    steadiness: Steadiness
+
+
+def assess_trust(reduced: ReducedRecord) -> Trust:
+    """Examine the loads of a record."""
+    record, geometry, source = reduced.record, reduced.geometry, reduced.source
+    content = _nonperiodic_content(reduced)
+    regressed = 0
     if not record.fixed_frequency:
+        n = len(reduced.sigma) - 1
         regressed = count_regressed_harmonics(record.run, record.azimuth, n, record.spectra.interval)
-        reached[1:] = _reached_loads(lines, record, regressed, solution, sigma[1:])
-    pairs = contradicted_pairs(record, geometry, source, response)
-    is_rejected = bool(pairs) or bool(rejected[1:].all())
-    wrong = ", or ".join(explain_residuals(problem, record, geometry, source, is_rejected))
-    examine = is_rejected and not wrong
-    suspect = contradicting_channels(record, geometry, source, solution, response) if examine else ""
-    rejected |= bool(pairs) or bool(wrong)
-    shared = frozenset(line.order for line in record.confounded)
-    unsteady = steadiness.unsteady | (bool(record.pulse_doubt) & (np.arange(n + 1) > 0)[:, None])
-    tests = unsteady, contradicted, rejected, lines, reached, shared, pairs, regressed
-    doubt = "; ".join(filter(None, [record.pulse_doubt, steadiness.note]))
-    return Trust(untested, *tests, doubt, wrong, suspect)
+    rejected = _rejected_loads(reduced.solution)
+    pairs = contradicted_pairs(record, geometry, source, reduced.response)
+    is_rejected = bool(pairs) or bool(rejected.all())
+    mistakes = explain_residuals(reduced.problem, record, geometry, source, is_rejected)
+    suspect = ""
+    if is_rejected and not mistakes:
+        suspect = contradicting_channels(record, geometry, source, reduced.solution, reduced.response)
+    return Trust(
+        untested=_untested_loads(reduced),
+        unsteady=content.steadiness.unsteady | _below_mean(np.full_like(rejected, bool(record.pulse_doubt))),
+        contradicted=_below_mean(source.is_contradicted | _model_error_matters(reduced.solution)),
+        rejected=_below_mean(rejected) | bool(pairs) | bool(mistakes),
+        lines=content.lines,
+        reached=_below_mean(_reached_loads(content.lines, reduced, regressed)),
+        confounded=frozenset(line.order for line in record.confounded),
+        pairs=pairs,
+        regressed=regressed,
+        steadiness_note="; ".join(filter(None, [record.pulse_doubt, content.steadiness.note])),
+        wrong_channels=", or ".join(mistakes),
+        suspect_note=suspect,
+    )
 
 
-def _lines_and_steadiness(
-    record: RotorRecord,
-    geometry: Geometry,
-    source: ResponseSource,
-    static: TrimCalibration | None,
-    response: ComplexArray,
-    sigma: Array,
-) -> tuple[tuple[UnmodelledLine, ...], Steadiness]:
+def _below_mean(mask: Mask) -> Mask:
+    """Return the mask (n+1, m) of all rows for one (n, m) of harmonics, without the mean loads."""
+    return np.vstack([np.zeros((1, mask.shape[1]), bool), mask])
+
+
+def _nonperiodic_content(reduced: ReducedRecord) -> NonperiodicContent:
     """Return the lines beside the harmonics of a record, and which of its loads (n+1, m) are unsteady.
 
     Where the speed varies, a harmonic is a band over time, and beside a mode its response has lines beside it and
     changes from window to window though the loads are constant. A record with such findings is examined again without
     that change, over time without the harmonics.
     """
+    record, geometry, source = reduced.record, reduced.geometry, reduced.source
     lines = lines_of_record(record, source)
-    steadiness = examine_steadiness(record, geometry, source, static, sigma)
+    steadiness = examine_steadiness(record, geometry, source, reduced.static, reduced.sigma)
     if all(line.turns_with_rotor for line in lines) and not steadiness.unsteady[1:].any():
-        return lines, steadiness
+        return NonperiodicContent(lines, steadiness)
     even = at_constant_speed(record, geometry, source)
     if even is None:
-        return lines, steadiness
-    constant_response = response if even is not record else None
-    steadiness = examine_steadiness(even, geometry, source, static, sigma, constant_response)
-    return lines_of_record(even, source, even.residual_spectrum), steadiness
+        return NonperiodicContent(lines, steadiness)
+    constant_response = reduced.response if even is not record else None
+    return NonperiodicContent(
+        lines_of_record(even, source, even.residual_spectrum),
+        examine_steadiness(even, geometry, source, reduced.static, reduced.sigma, constant_response),
+    )
 
 
-def _reached_loads(
-    lines: tuple[UnmodelledLine, ...], record: RotorRecord, regressed: int, solution: SolvedLoads, sigma: Array
-) -> Mask:
-    """Which loads (n, m) stand beside a line, or may have a part of it that their `sigma` (n, m) does not cover.
+def _untested_loads(reduced: ReducedRecord) -> Mask:
+    """Return the loads (n+1, m) that no redundant sensor tests; the mean loads are for the static calibration."""
+    m = reduced.sigma.shape[1]
+    has_redundant_sensor = sensor_count(reduced.geometry, reduced.record.health.live) > m
+    untested = (reduced.solution.degrees <= 0) | (not has_redundant_sensor)
+    return _below_mean(np.repeat(untested[:, None], m, axis=1))
+
+
+def _rejected_loads(solution: SolvedLoads) -> Mask:
+    """Return the loads (n, m) of the harmonics that the residual test rejects."""
+    rejected = solution.misfit | _response_is_rejected(solution)
+    return np.repeat(rejected[:, None], solution.loads.shape[1], axis=1)
+
+
+def _reached_loads(lines: tuple[UnmodelledLine, ...], reduced: ReducedRecord, regressed: int) -> Mask:
+    """Return which loads (n, m) are beside a line, or may contain a part of it that their sigma does not cover.
 
     A harmonic of the rotor that the regression contains reaches none: the highest row says that the loads go on above.
     """
+    record, sigma = reduced.record, reduced.sigma[1:]
     n, m = sigma.shape
     first, last = record.spectra.revolutions
-    noise = np.sqrt(np.diagonal(solution.noise_covariance, axis1=1, axis2=2)).reshape(n, 2, m).max(axis=1)
+    noise = np.sqrt(np.diagonal(reduced.solution.noise_covariance, axis1=1, axis2=2)).reshape(n, 2, m).max(axis=1)
     reached = np.zeros((n, m), bool)
     for line in lines:
         if line.turns_with_rotor and line.order <= regressed:
@@ -235,32 +253,3 @@ def nearest_trim(calibration: Calibration, loads: RunLoads) -> TrimCalibration:
     if loads.trim in calibration.trims:
         return calibration.trims[loads.trim]
     return calibration.nearest_trim(dict(zip(loads.components, loads.amplitude[0].real.tolist(), strict=True)))
-
-
-def filter_is_contradicted(tests: InnovationTests | None) -> bool:
-    """Return whether the innovations of a filter are not of the size that it states, or not white."""
-    return tests is not None and (innovations_have_wrong_size(tests) or innovations_are_correlated(tests))
-
-
-def innovations_have_wrong_size(tests: InnovationTests) -> bool:
-    """Return whether the innovations of a filter are larger or smaller than it states."""
-    return not SMALLEST_NIS <= tests.nis <= LARGEST_NIS
-
-
-def innovations_are_correlated(tests: InnovationTests) -> bool:
-    """Return whether the innovations of a filter predict each other: it does not follow the record."""
-    return rms_autocorrelation(tests) > LARGEST_AUTOCORRELATION or slow_power(tests) > LARGEST_SLOW_POWER
-
-
-def flag_filter(loads: RunLoads, tests: InnovationTests | None) -> RunLoads:
-    """Return the loads, all flagged where the innovations contradict the filter that estimated them."""
-    return flag_all(loads, FILTER_CONTRADICTED) if filter_is_contradicted(tests) else loads
-
-
-def flag_all(loads: RunLoads, flag: str, first_harmonic: int = 0) -> RunLoads:
-    """Return the loads with a flag at every row, or at those from a harmonic on."""
-    flags = (
-        tuple(join_flags((word, flag)) for word in row) if harmonic >= first_harmonic else row
-        for harmonic, row in enumerate(loads.flags)
-    )
-    return replace(loads, flags=tuple(flags))

@@ -8,7 +8,6 @@ loads. But two points of a test are seldom so alike, and turned.
 from __future__ import annotations
 
 import re
-from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
-from balance_cli.reduction.result import RunLoads
-from balance_cli.reduction.trust import flag_all
+from balance_cli.reduction.result import RunLoads, replace_runs
 
 ComplexArray = NDArray[np.complex128]
 
@@ -94,10 +92,11 @@ def flag_turned_runs(runs: Mapping[str, RunLoads], comparisons: Sequence[RunComp
     signs = [(item.before, item.after, (1 - item.sign) * 90.0 if item.sign else None) for item in comparisons]
     turns = [(item.before, item.after, item.turn) for item in comparisons]
     of_other_sign = _differing_runs(signs)
-    flagged = {name: flag_all(runs[name], MODEL_CONTRADICTED) for name in of_other_sign}
+    flagged = {name: runs[name].with_flag(MODEL_CONTRADICTED) for name in of_other_sign}
     for name in _differing_runs(turns) - of_other_sign:
-        flagged[name] = flag_all(runs[name], MODEL_CONTRADICTED, first_harmonic=1)
-    return ChainMap(flagged, runs) if flagged else runs  # type: ignore[arg-type]  # which is only read
+        harmonics = np.arange(len(runs[name].amplitude))[:, None]
+        flagged[name] = runs[name].with_flag(MODEL_CONTRADICTED, where=harmonics > 0)
+    return replace_runs(runs, flagged)
 
 
 def _compare(before: RunLoads, after: RunLoads) -> RunComparison:

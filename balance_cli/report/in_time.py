@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from balance_cli.reduction.choices import LOAD_MODEL_TEXTS
-from balance_cli.reduction.kalman.innovations import InnovationTests, rms_autocorrelation, slow_power
-from balance_cli.reduction.kalman.load_history import LoadTrack
-from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
-from balance_cli.reduction.trust import (
+from balance_cli.reduction.kalman.innovations import (
     LARGEST_AUTOCORRELATION,
     LARGEST_NIS,
     LARGEST_SLOW_POWER,
     SMALLEST_NIS,
-    innovations_are_correlated,
-    innovations_have_wrong_size,
+    InnovationTests,
 )
+from balance_cli.reduction.kalman.load_history import LoadTrack
+from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
 from balance_cli.report.blocks import (
     Chart,
     Details,
@@ -97,14 +95,14 @@ def innovation_tests_row(name: str, tests: InnovationTests | None) -> Row:
             TableCell(name, mark="name"),
             TableCell(MISSING_VALUE, title="no part of the record has all channels"),
         )
-    size = "bad" if innovations_have_wrong_size(tests) else ""
-    correlated = "bad" if innovations_are_correlated(tests) else ""
+    size = "bad" if tests.wrong_size else ""
+    correlated = "bad" if tests.correlated else ""
     return (
         TableCell(name, mark="name"),
         TableCell(format_fixed(tests.nis, 3), format_fixed(tests.nis_sigma, 3), size),
         TableCell(format_significant(tests.whiteness), format_significant(tests.whiteness_sigma, 1), correlated),
-        TableCell(format_significant(rms_autocorrelation(tests), 2), mark=correlated),
-        TableCell(format_fixed(slow_power(tests), 2), mark=correlated),
+        TableCell(format_significant(tests.rms_autocorrelation, 2), mark=correlated),
+        TableCell(format_fixed(tests.slow_power, 2), mark=correlated),
         TableCell(str(tests.samples)),
     )
 

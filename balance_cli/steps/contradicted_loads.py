@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.geometry import Geometry
@@ -18,7 +17,6 @@ from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trim_signs import flag_opposite_means, opposite_means
-from balance_cli.reduction.trust import flag_all
 from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 from balance_cli.steps.static_agreement import static_findings
 from balance_cli.steps.trim_agreement import trim_findings
@@ -87,4 +85,4 @@ def compare_with_other_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, 
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:
-    return replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, finding.sentence))
+    return loads.with_flag(MODEL_CONTRADICTED, finding.sentence)

@@ -32,7 +32,7 @@ from balance_cli.reduction.response_sources import (
 from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
-from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
+from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import Harmonics
 
@@ -103,7 +103,7 @@ def reduce_record(
     loads = _combine_loads(record, mean_solution, harmonic_solution, source, geometry)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     static = None if calibration is None else nearest_trim(calibration, loads)
-    trust = assess_trust(record, geometry, source, static, response, problem, harmonic_solution, sigma)
+    trust = assess_trust(ReducedRecord(record, geometry, source, static, response, problem, harmonic_solution, sigma))
     shared = (line.description for line in record.confounded)
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
     source_note = source.note if isinstance(source, ResponseWithoutModel) else ""
@@ -147,9 +147,7 @@ def flag_scale_contradiction(loads: RunLoads) -> RunLoads:
     if loads.check is None:
         return loads
     contradiction = scale_contradiction(loads.check, loads.amplitude, loads.components)
-    if not contradiction:
-        return loads
-    return replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, contradiction))
+    return loads.with_flag(MODEL_CONTRADICTED, contradiction) if contradiction else loads
 
 
 def _flag_implausible(loads: RunLoads, static: TrimCalibration) -> RunLoads:
@@ -164,7 +162,7 @@ def _flag_implausible(loads: RunLoads, static: TrimCalibration) -> RunLoads:
     if not worst or reached[worst] < IMPLAUSIBLE_LOAD:
         return loads
     note = f"{worst} reaches {reached[worst]:.3g} times the calibrated range: are the channels in V?"
-    return replace(flag_all(loads, EXTRAPOLATED), notes=(*loads.notes, note))
+    return loads.with_flag(EXTRAPOLATED, note)
 
 
 def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:

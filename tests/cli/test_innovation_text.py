@@ -8,7 +8,6 @@ import pytest
 from balance_cli.cli.reduce_text import _innovation_tests_text
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.result import TimeDomainResult
-from balance_cli.reduction.trust import filter_is_contradicted
 
 WHITE = InnovationTests(1.0, 0.002, 1.0, 0.08, {"x": 1.0}, 10_000, {"x": np.zeros(20)}, np.full(20, 10_000.0))
 
@@ -25,6 +24,6 @@ WHITE = InnovationTests(1.0, 0.002, 1.0, 0.08, {"x": 1.0}, 10_000, {"x": np.zero
 )
 def test_text_and_flag_are_of_one_mind(tests, contradicted):
     text = _innovation_tests_text(TimeDomainResult("harmonics", None, tests, None, {}, ()))
-    assert filter_is_contradicted(tests) == ("contradict the filter" in text) == contradicted
+    assert tests.contradict_filter == ("contradict the filter" in text) == contradicted
     assert "(0.8 to 1.25 is consistent)" in text and "(at most 0.15)" in text and "(at most 2)" in text
     assert "1 +-" not in text

@@ -10,10 +10,11 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import FLAGS, join_flags
 from balance_cli.reduction.harmonic_loads import harmonic_loads
-from balance_cli.reduction.kalman.innovations import InnovationTests, slow_power
+from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.result import flag_filter
 from balance_cli.reduction.rotor_record import rotor_record
-from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
+from balance_cli.reduction.trust import sensor_count
 from balance_cli.report.in_time import innovation_tests_row
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -177,20 +178,20 @@ def test_innovations_contradict_a_filter(
 ):
     rho = {"z1.piezo": lasting + rms * np.cos(2.0 * np.arange(1, 21)), "z2.piezo": np.zeros(20)}
     tests = InnovationTests(nis, 0.002, 1.0 + samples * rms**2, 0.08, {}, samples, rho, np.full(20, samples))
-    assert filter_is_contradicted(tests) == contradicted
+    assert tests.contradict_filter == contradicted
     marks = [cell.mark for cell in innovation_tests_row("wind-1", tests)]
     assert ("bad" in marks) == contradicted
     loads = reduce_run(check, campaign.geometry, calibration, model_source(identified))
     words = reduced_words(flag_filter(loads, tests))
     assert ("filter contradicted" in words) == contradicted
-    assert not filter_is_contradicted(None)
+    assert flag_filter(loads, None) is loads
 
 
 def test_a_lasting_correlation_has_slow_power():
     """1 + 2 sum w rho with the window of Bartlett, whose weights sum to half the number of lags."""
     tests = InnovationTests(1.0, 0.002, 1.0, 0.08, {}, 1000, {"a": np.full(20, 0.1), "b": np.zeros(20)})
-    assert slow_power(tests) == pytest.approx(1.0 + 2.0 * 0.1 * 10.0)
-    assert slow_power(InnovationTests(1.0, 0.002, 1.0, 0.08, {}, 1000)) == 1.0
+    assert tests.slow_power == pytest.approx(1.0 + 2.0 * 0.1 * 10.0)
+    assert InnovationTests(1.0, 0.002, 1.0, 0.08, {}, 1000).slow_power == 1.0
 
 
 def test_without_any_usable_channel_the_reason_is_named(campaign, calibration, identified, check):
