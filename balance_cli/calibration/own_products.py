@@ -84,8 +84,8 @@ def _explaining_terms(
         largest = float(np.max(np.abs(model.coefficients[:k, c])))
         shares = {model.terms[place]: abs(model.coefficients[place, c]) / largest for place in own}
         shares = {term: float(size) for term, size in shares.items() if size > 0.0}
-        sigma = float(np.sqrt(model.residual_covariance[c, c]))
-        is_fitted = float(np.sqrt(np.mean(fit.residuals[rows, c] ** 2))) <= MAX_RESIDUAL_RATIO * sigma
+        usual = float(np.sqrt(np.nanmean(fit.residuals[~rows, c] ** 2)))
+        is_fitted = float(np.sqrt(np.mean(fit.residuals[rows, c] ** 2))) <= MAX_RESIDUAL_RATIO * usual
         if not shares or not is_fitted or max(shares.values()) > MAX_PRODUCT:
             return {}
         sizes |= {term: max(size, sizes.get(term, 0.0)) for term, size in shares.items()}

@@ -1,12 +1,13 @@
 """What seems to be wrong with a whole load series.
 
-Its loads are in another unit or of the other sign, exchanged, or in reverse order, or two channels are exchanged.
+Its loads are in another unit or of the other sign, exchanged, in reverse order, about another point or at an angle, or
+two channels are exchanged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +83,23 @@ def _other_loads(model: CalibrationModel, loads: Array, change: Array, sigma: Ar
             other = loads.copy()
             other[:, [i, j]] = loads[:, [j, i]]
             yield other, f"its loads {model.components[i]} and {model.components[j]} seem to be exchanged"
+    yield from _accompanied_loads(model, loads, change / sigma - predicted, sigma)
+
+
+def _accompanied_loads(
+    model: CalibrationModel, loads: Array, error: Array, sigma: Array
+) -> Iterator[tuple[Array, str]]:
+    """Loads (r, k) with a share of one in another that explains an `error` (r, c), as of another moment center."""
+    stated = model.readings(loads)
+    for i, j in permutations(range(loads.shape[1]), 2):
+        extra = np.zeros_like(loads)
+        extra[:, j] = loads[:, i]
+        effect = subtract_mean(model.readings(loads + extra) - stated) / sigma
+        power = float(np.sum(effect**2))
+        if power > 0:
+            share = float(np.sum(effect * error)) / power
+            cause = f"{share:.3g} times its {model.components[i]} seems to be missing in its {model.components[j]}"
+            yield loads + share * extra, f"{cause}, as of another moment center or a load at an angle"
 
 
 def factor_words(factor: float) -> str:

@@ -15,6 +15,7 @@ from balance_cli.calibration.all_trims_result import SuspectLoadSeries
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.own_products import explaining_products, one_sided_note, usual_one_sided_terms
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
@@ -207,36 +208,51 @@ def _suspect_channels(
     change = points.channels[rows] - points.channels[rows].mean(axis=0)
     errors = np.where(known, fit.cross_validation_errors[rows], change)  # a prediction of no change has no gain
     predicted = change - (errors - errors.mean(axis=0))
-    noise = robust_sigma(np.where(known, fit.cross_validation_errors, 0.0))
-    # The misfit of a linear model follows the load: it does not average out over the rows.
-    sigma = noise / np.sqrt(np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny))
     least, names = least_gain_errors(points, fit, rows, predicted), points.channel_names
-    if not any(_check_channel_gain(c, change, predicted, sigma, least, names, "") for c in range(len(sigma))):
+    exact = np.zeros(len(names))
+    if not any(_check_channel_gain(c, change, predicted, exact, least, names, "") for c in range(len(names))):
         return []
-    sigma = np.hypot(sigma, _prediction_gain_sigma(points, fit, rows, predicted, known))
+    others = _fit_of_others(points, fit, rows, known)
+    # The misfit of a linear model follows the load: it does not average out over the rows.
+    power = np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny)
+    misfit = change - np.mean(predicted * change, axis=0) / power * predicted
+    sigma = _noise(fit, others, misfit, known) / np.sqrt(power)
+    sigma = np.hypot(sigma, _prediction_gain_sigma(others.model, points.loads[rows], predicted))
     suspect_channels = (
-        _check_channel_gain(c, change, predicted, sigma, least, names, description) for c in range(len(sigma))
+        _check_channel_gain(c, change, predicted, sigma, least, names, description) for c in range(len(names))
     )
     return [suspect for suspect in suspect_channels if suspect is not None]
 
 
-def _prediction_gain_sigma(
-    points: CalibrationPoints,
-    fit: CalibrationModelFit,
-    rows: NDArray[np.bool_],
-    predicted: Array,
-    known: NDArray[np.bool_],
-) -> Array:
-    """Standard deviation (c,) of the gains in some rows that is due to the errors of their prediction (r, c).
-
-    The other load series may have loaded a component with a small fraction of its load in these rows. The errors of
-    their coefficients b are then those of the prediction: gain = p'y / p'p has the derivative p'X / p'p with respect
-    to b.
-    """
+def _fit_of_others(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], known: NDArray[np.bool_]
+) -> CalibrationModelFit:
+    """The terms of a fit without some rows (m,); of channels that are not `known` (c,) the loads alone."""
     is_determined = known | (np.arange(len(fit.model.t)) < len(points.components))[:, None]
-    determined = replace(fit.model, t=np.where(is_determined, fit.model.t, np.nan))
-    model = refit_terms(points.exclude_rows(rows), determined).model
-    X = term_values(model.parsed_terms, points.loads[rows] / model.calibrated_range)
+    return refit_terms(points.exclude_rows(rows), replace(fit.model, t=np.where(is_determined, fit.model.t, np.nan)))
+
+
+def _noise(fit: CalibrationModelFit, others: CalibrationModelFit, misfit: Array, known: NDArray[np.bool_]) -> Array:
+    """Standard deviation (c,) of predictions: of all load series, or of the `others` without the one that is judged.
+
+    A wrong series spoils the prediction of each one that shares its loads, which may be most. Where the others predict
+    half of their rows without it, their errors are the noise, with the `misfit` (r, c) that no gain explains, as long
+    as they are smaller.
+    """
+    noise, errors = robust_sigma(np.where(known, fit.cross_validation_errors, 0.0)), others.cross_validation_errors
+    is_told = np.count_nonzero(np.isfinite(errors), axis=0) >= 0.5 * np.count_nonzero(np.isfinite(others.residuals), 0)
+    own = np.hypot(robust_sigma(np.where(is_told & known, errors, 0.0)), np.sqrt(np.mean(misfit**2, axis=0)))
+    return np.where(is_told & known, np.minimum(noise, own), noise)
+
+
+def _prediction_gain_sigma(model: CalibrationModel, loads: Array, predicted: Array) -> Array:
+    """Standard deviation (c,) of the gains in rows of some loads (r, k) due to the errors of their prediction (r, c).
+
+    The other load series, of which the model is, may have loaded a component with a small fraction of its load in these
+    rows. The errors of their coefficients b are then those of the prediction: gain = p'y / p'p has the derivative
+    p'X / p'p with respect to b.
+    """
+    X = term_values(model.parsed_terms, loads / model.calibrated_range)
     derivative = predicted.T @ X / np.maximum(np.sum(predicted**2, axis=0), np.finfo(float).tiny)[:, None]
     variance = np.einsum("cp,cpq,cq->c", derivative, model.covariance, derivative)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0) * student_widening(model.dof)))

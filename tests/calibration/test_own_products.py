@@ -70,3 +70,22 @@ def test_products_of_poses_look_like_no_gain():
         series = np.r_[np.repeat(np.arange(6), ROWS), np.full(40, 6)][-len(x) :]
         model = calibrated(lambda read, x, _: read + 0.05 * x[:, [1]] * x[:, [2]], x, series).model
         assert "Fy Fz" in model.terms and gain_like_products(model, x / model.calibrated_range, series) == []
+
+
+def test_a_moment_about_another_point_in_the_one_series_of_a_product_is_a_fault():
+    """It spoils the predictions of most series, and the product that only it tells explained a part of it."""
+    rng, steps = np.random.default_rng(8), np.r_[0:6, 4:-6:-1, -4:1] / 5.0
+    pairs = [(0, 4), (1, 3), (2, 3), (2, 4), (0, 2), (1, 2)]
+    parts = [*np.eye(6), *(np.eye(6)[i] + np.eye(6)[j] for i, j in pairs)]
+    x, series = np.vstack([np.outer(steps, part) for part in parts]), np.repeat(np.arange(12), len(steps))
+    read = x @ rng.normal(size=(6, 8)) + 2e-4 * rng.normal(size=(len(x), 8))
+    x[series == 10, 4] += 0.3 * x[series == 10, 0]
+    whole = calibrate_all_trims(
+        CalibrationPoints(
+            tuple(f"g{c}" for c in range(8)), COMPONENTS, ("stand",), read, x, 0 * series, np.ones(len(x)), np.ones(6)
+        )
+    )
+    assert {suspect.load_series for suspect in whole.suspect_series} == {"stand rows 211 to 231 (Fx, Fz, My)"}
+    cause = whole.suspect_series[0].cause
+    assert cause.startswith("-0.3 times its Fx seems to be missing in its My, as of another moment center")
+    assert whole.model.unsupported_terms["Fx Fz"] == "Fx and Fz were loaded together in excluded rows only"
