@@ -73,6 +73,11 @@ class SampledWaveform:
     is_periodic: bool = True
 
     @property
+    def fine_frequency(self) -> Array:
+        """Frequencies (G,) [Hz] up to half the rate of the oversampled waveform."""
+        return np.asarray(self.frequency[1] * np.arange(OVERSAMPLING * self.samples // 2))
+
+    @property
     def lines_are_bin_sums(self) -> bool:
         """False: the bins are the lines."""
         return False
@@ -116,7 +121,7 @@ class SampledWaveform:
         return self.frequency[self.bin_index]
 
     def to_time_domain(self, amplitudes: ComplexArray, is_fine: bool = False) -> Array:
-        """Amplitudes (F, ...) as a function of time (n, ...), oversampled; at frequency zero twice the mean."""
+        """Amplitudes (F, ...), or (G, ...), in time (n, ...), oversampled; at frequency zero twice the mean."""
         n = _fast_length((CONTACT_OVERSAMPLING if is_fine else OVERSAMPLING) * self.samples)
         return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
 
@@ -141,8 +146,8 @@ class SampledWaveform:
         return np.asarray(np.fft.irfft((spectrum.T * rates).T, len(values), axis=0)) + slope
 
     def to_amplitudes(self, values: Array) -> ComplexArray:
-        """A function of time (n,) as amplitudes (F,), up to the highest frequency of the samples."""
-        return np.asarray(np.fft.rfft(values)[: len(self.frequency)] * (2.0 / len(values)))
+        """A function of time (n,) as amplitudes (G,), beyond those of the samples, too."""
+        return np.asarray(np.fft.rfft(values)[: len(self.fine_frequency)] * (2.0 / len(values)))
 
     def to_bins(self, values: Array) -> ComplexArray:
         """A function of time (n, ...) at the bins (R, ...), after the anti-alias filter."""

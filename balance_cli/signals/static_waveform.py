@@ -31,6 +31,11 @@ class StaticWaveform:
         return np.zeros(len(self.volts))
 
     @property
+    def fine_frequency(self) -> Array:
+        """Frequency [Hz] of the m points, zero."""
+        return self.frequency
+
+    @property
     def is_periodic(self) -> bool:
         """False: the first point follows the unloaded rig."""
         return False

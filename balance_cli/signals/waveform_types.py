@@ -71,6 +71,11 @@ class Waveform(Protocol):
         ...
 
     @property
+    def fine_frequency(self) -> Array:
+        """Frequencies (G,) [Hz] of the amplitudes of a function of the channels, the first F those of the channels."""
+        ...
+
+    @property
     def is_periodic(self) -> bool:
         """Whether the waveform repeats forever; if not, the rig was unloaded before it began."""
         ...
@@ -111,7 +116,7 @@ class Waveform(Protocol):
         ...
 
     def to_time_domain(self, amplitudes: ComplexArray, is_fine: bool = False) -> Array:
-        """Amplitudes (F, ...) as a function of time (n, ...); `is_fine`: for a function of it that has kinks."""
+        """Amplitudes (F, ...), or (G, ...), as a function of time (n, ...); `is_fine`: for a function with kinks."""
         ...
 
     def differentiate(self, values: Array) -> Array:
@@ -119,7 +124,7 @@ class Waveform(Protocol):
         ...
 
     def to_amplitudes(self, values: Array) -> ComplexArray:
-        """A function of time (n,) as amplitudes (F,)."""
+        """A function of time (n,) as amplitudes (G,)."""
         ...
 
     def to_bins(self, values: Array) -> ComplexArray:

@@ -34,6 +34,10 @@ def square(x, v, slider):
     return 2e3 * abs(v) * v, slider
 
 
+def strong_square(x, v, slider):
+    return 2e4 * abs(v) * v, slider
+
+
 def uneven(x, v, slider):
     return 0.5 * 100.0 * abs(v), slider
 
@@ -84,7 +88,7 @@ def motion(force):
     ("force", "effect", "error"),
     [
         (cubic, {"name": "cubic-stiffness", "parameters": {"k3": 6e9, "side": "beside"}}, 2.5e-4),
-        (contact, {"name": "dry-friction", "parameters": {"force": 4.0, "stick_stiffness": 2e5}}, 3e-3),
+        (contact, {"name": "dry-friction", "parameters": {"force": 4.0, "stick_stiffness": 2e5}}, 1.2e-3),
         (
             uneven_contact,
             {"name": "asymmetric-friction", "parameters": {"force": 4.0, "asymmetry": 0.3, "stick_stiffness": 2e5}},
@@ -98,11 +102,13 @@ def motion(force):
             },
             3e-3,
         ),
-        (square, {"name": "quadratic-damping", "parameters": {"c2": 2e3}}, 2.5e-4),
+        (square, {"name": "quadratic-damping", "parameters": {"c2": 2e3}}, 1e-4),
+        # The third harmonic of a strong damper is beyond the filter, its fifth beyond half the rate.
+        (strong_square, {"name": "quadratic-damping", "parameters": {"c2": 2e4}}, 5e-4),
         # Most of a force of |v| is at sums and differences of the frequencies: 0.5 % of the motion in the band are its.
-        (uneven, {"name": "asymmetric-damping", "parameters": {"difference": 100.0}}, 2e-2),
+        (uneven, {"name": "asymmetric-damping", "parameters": {"difference": 100.0}}, 2e-3),
     ],
-    ids=["cubic", "contact", "uneven contact", "lubricated", "square", "uneven"],
+    ids=["cubic", "contact", "uneven contact", "lubricated", "square", "strong square", "uneven"],
 )
 def test_motion_beyond_the_filter_and_between_the_samples_counts(force, effect, error):
     n = round(RATE * PERIOD)
