@@ -16,7 +16,7 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.places import Where, each_measured_cell
+from balance_cli.model.effects.places import Where, cell_at, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
@@ -27,7 +27,7 @@ SMALL = 0.004
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    cell = geometry.cells[geometry.cell_names.index(where[0])]
+    cell = cell_at(geometry, where)
     scale = SMALL / rig_frequency(geometry) * cell.effective_stiffness
     return (EffectParameter("difference", "N s/m", 0.0, scale, "Damping of positive minus that of negative rates."),)
 

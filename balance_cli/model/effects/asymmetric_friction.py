@@ -13,25 +13,14 @@ not read f.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects import contact
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.contact import (
-    INACCURACY,
-    LEAST_FORCE_SHARE,
-    cell_of,
-    contact_shape,
-    force_parameter,
-    held_force,
-    slip_starts,
-    start_from_score,
-    stiffness_parameter,
-)
 from balance_cli.model.effects.places import Where, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints
-from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
-from balance_cli.model.mechanics.dual_numbers import Dual, stack
+from balance_cli.model.mechanics.cell_force import CellMotion
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 RELEVANT_ASYMMETRY = 0.1
@@ -41,21 +30,21 @@ RELEVANT_ASYMMETRY = 0.1
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     description = "Difference of the two forces over their sum; positive where the cell resists elongation more."
     return (
-        force_parameter(geometry, where, "force", "Force at which the contact slips, mean of the two directions."),
+        contact.force_parameter(
+            geometry, where, "force", "Force at which the contact slips, mean of the two directions."
+        ),
         EffectParameter("asymmetry", "1", 0.0, RELEVANT_ASYMMETRY, description, -1.0, 1.0, nuisance=True),
-        stiffness_parameter(geometry, where),
+        contact.stiffness_parameter(geometry, where),
     )
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    spring = equations.springs.index(where[0])
-    shape = partial(_friction_shape, least=LEAST_FORCE_SHARE * cell_of(geometry, where).full_range)
-    contact = stack([values["force"], values["stick_stiffness"], values["asymmetry"]])
-    return equations.with_force(CellForce(spring, contact, shape, read=False, held=held_force, has_kinks=True))
+    parameters = [values["force"], values["stick_stiffness"], values["asymmetry"]]
+    return contact.add_contact(equations, geometry, where, parameters, _friction_shape)
 
 
 def _friction_shape(motion: CellMotion, values: Dual, least: float) -> Dual:
-    return contact_shape(motion, values[0], values[1], least, values[2])
+    return contact.contact_shape(motion, values[0], values[1], least, values[2])
 
 
 EFFECT = Effect(
@@ -73,6 +62,9 @@ EFFECT = Effect(
     apply=_apply,
     needs_mean=True,
     search=SearchHints(
-        extra_starts=slip_starts, start_from_score=start_from_score, inaccuracy=INACCURACY, on_request=True
+        extra_starts=contact.slip_starts,
+        start_from_score=contact.start_from_score,
+        inaccuracy=contact.INACCURACY,
+        on_request=True,
     ),
 )

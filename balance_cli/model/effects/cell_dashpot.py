@@ -13,7 +13,7 @@ from dataclasses import replace
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.places import Where, each_cell
+from balance_cli.model.effects.places import Where, cell_at, each_cell
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -22,7 +22,7 @@ SMALL = 0.004
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    cell = geometry.cells[geometry.cell_names.index(where[0])]
+    cell = cell_at(geometry, where)
     scale = SMALL / rig_frequency(geometry) * cell.effective_stiffness
     return (EffectParameter("damping", "N s/m", 0.0, scale, "Force per rate of elongation.", lower=0.0),)
 

@@ -17,14 +17,14 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import transverse_axes
-from balance_cli.model.effects.places import Where, each_cell
+from balance_cli.model.effects.places import Where, cell_at, each_cell
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    axis = next(cell.direction for cell in geometry.cells if cell.name == where[0])
-    toward = ("xyz"[int(np.argmax(np.abs(across)))] for across in transverse_axes(axis))
+    axes = transverse_axes(cell_at(geometry, where).direction)
+    toward = ("xyz"[int(np.argmax(np.abs(axis)))] for axis in axes)
     return tuple(
         EffectParameter(
             f"angle_{i}", "rad", 0.0, 0.005, f"Tilt of its upper end towards {name}.", lower=-0.5, upper=0.5
@@ -34,14 +34,13 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    index = geometry.cell_names.index(where[0])
-    cell = geometry.cells[index]
+    cell = cell_at(geometry, where)
     first, second = transverse_axes(cell.direction)
     a, b = values["angle_1"], values["angle_2"]
     axis = (cell.direction + a * first + b * second) * (1.0 + a * a + b * b).sqrt().reciprocal()
     motion = equations.relative_motion(np.array(cell.position))
     tilted = np.zeros((len(equations.springs), 1))
-    tilted[index] = 1.0
+    tilted[geometry.cell_names.index(cell.name)] = 1.0
     row = axis.insert_axis(0) @ motion
     return replace(equations, elongation=equations.elongation * (1.0 - tilted) + tilted * row)
 

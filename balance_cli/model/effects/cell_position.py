@@ -17,7 +17,7 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import position_bound, rig_length, transverse_axes
-from balance_cli.model.effects.places import Where, each_cell
+from balance_cli.model.effects.places import Where, cell_at, each_cell
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations, dual_motion_at
 
@@ -26,8 +26,8 @@ SMALL = 0.003
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    axis = next(cell.direction for cell in geometry.cells if cell.name == where[0])
-    toward = ("xyz"[int(np.argmax(np.abs(across)))] for across in transverse_axes(axis))
+    axes = transverse_axes(cell_at(geometry, where).direction)
+    toward = ("xyz"[int(np.argmax(np.abs(axis)))] for axis in axes)
     scale, bound = SMALL * rig_length(geometry), position_bound(geometry)
     return tuple(
         EffectParameter(f"offset_{i}", "m", 0.0, scale, f"Shift of its line of action towards {name}.", -bound, bound)
@@ -36,15 +36,14 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    index = geometry.cell_names.index(where[0])
-    cell = geometry.cells[index]
+    cell = cell_at(geometry, where)
     first, second = transverse_axes(cell.direction)
     declared = np.array(cell.position)
     point = values["offset_1"] * first + values["offset_2"] * second + declared
     moved = equations.motion(point) - dual_motion_at(point) @ equations.non_metric_motion
     change = cell.direction @ (moved - equations.relative_motion(declared))
     at_cell = np.zeros((len(equations.springs), 1))
-    at_cell[index] = 1.0
+    at_cell[geometry.cell_names.index(cell.name)] = 1.0
     return replace(equations, elongation=equations.elongation + at_cell * change.insert_axis(0))
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.geometry import Cell, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import EffectParameter
-from balance_cli.model.effects.places import Where
+from balance_cli.model.effects.places import Where, cell_at
 from balance_cli.model.effects.search_hints import Start
-from balance_cli.model.mechanics.cell_force import CellMotion
-from balance_cli.model.mechanics.dual_numbers import Dual, constant
+from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
+from balance_cli.model.mechanics.dual_numbers import Dual, constant, stack
+from balance_cli.model.mechanics.equations import Equations
 
 Array = NDArray[np.float64]
 
@@ -27,32 +31,27 @@ STIFFNESS_BOUNDS = (1e-3, 1e4)
 stiffer than a soft cell: a ball screw on a spring, four decades."""
 
 
-def cell_of(geometry: Geometry, where: Where) -> Cell:
-    """The cell at a place."""
-    return next(cell for cell in geometry.cells if cell.name == where[0])
-
-
 def force_parameter(geometry: Geometry, where: Where, name: str, description: str) -> EffectParameter:
     """A force [N] at which a contact slips; its derivative at zero is that of a contact that always slips."""
-    force = RELEVANT_FORCE_SHARE * cell_of(geometry, where).full_range
+    force = RELEVANT_FORCE_SHARE * cell_at(geometry, where).full_range
     return EffectParameter(name, "N", 0.0, force, description, lower=0.0, start=force)
 
 
 def stiffness_parameter(geometry: Geometry, where: Where) -> EffectParameter:
     """The stiffness [N/m] of a contact."""
-    k, description = cell_of(geometry, where).effective_stiffness, "Stiffness of the contact while it sticks."
+    k, description = cell_at(geometry, where).effective_stiffness, "Stiffness of the contact while it sticks."
     return EffectParameter("stick_stiffness", "N/m", k, 0.1 * k, description, lower=1e-3 * k, start=k, nuisance=True)
 
 
 def slip_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
     """Stiffnesses at which a search scores a contact, one for each slip distance."""
-    k = cell_of(geometry, where).effective_stiffness
+    k = cell_at(geometry, where).effective_stiffness
     return tuple({"stick_stiffness": LEAST_FORCE_SHARE / slip * k} for slip in SLIP_DISTANCES)
 
 
 def start_from_force(geometry: Geometry, where: Where, start: Start, force: float) -> Start:
     """The start with the stiffness that gives a contact of this force [N] the slip distance at which it was scored."""
-    cell = cell_of(geometry, where)
+    cell = cell_at(geometry, where)
     k = cell.effective_stiffness
     distance = LEAST_FORCE_SHARE * cell.full_range / start.get("stick_stiffness", k)
     lower, upper = (share * k for share in STIFFNESS_BOUNDS)
@@ -86,6 +85,28 @@ def contact_shape(
 def held_force(values: Array, span: float) -> float:
     """The largest force that a contact of force F may keep: |d - w| <= F / kappa holds at both ends of the span."""
     return float(max(values[0] - 0.5 * values[1] * span, 0.0))
+
+
+def add_contact(
+    equations: Equations,
+    geometry: Geometry,
+    where: Where,
+    parameters: Sequence[Dual],
+    shape: Callable[..., Dual],
+    held: Callable[[Array, float], float] = held_force,
+    needs_rate: bool = False,
+) -> Equations:
+    """Add a contact beside the cell at a place, which its channels do not read; `shape` also takes `least` [N]."""
+    force = CellForce(
+        equations.springs.index(where[0]),
+        stack(parameters),
+        partial(shape, least=LEAST_FORCE_SHARE * cell_at(geometry, where).full_range),
+        read=False,
+        held=held,
+        has_kinks=True,
+        needs_rate=needs_rate,
+    )
+    return equations.with_force(force)
 
 
 def find_last_slip(d: Array, distance: float, is_periodic: bool, start: float = 0.0) -> tuple[NDArray[np.intp], Array]:

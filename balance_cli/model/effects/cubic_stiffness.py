@@ -11,14 +11,14 @@ from collections.abc import Mapping
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.places import INSIDE, SIDE, Where, each_cell_and_side
+from balance_cli.model.effects.places import INSIDE, SIDE, Where, cell_at, each_cell_and_side
 from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    cell = next(cell for cell in geometry.cells if cell.name == where[0])
+    cell = cell_at(geometry, where)
     k = cell.effective_stiffness
     scale = 0.01 * k * (k / cell.full_range) ** 2
     return (EffectParameter("k3", "N/m3", 0.0, scale, "Force over the cube of the elongation; positive hardens."),)

@@ -13,42 +13,29 @@ sticks.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects import contact
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.contact import (
-    INACCURACY,
-    LEAST_FORCE_SHARE,
-    cell_of,
-    contact_shape,
-    force_parameter,
-    held_force,
-    slip_starts,
-    start_from_score,
-    stiffness_parameter,
-)
 from balance_cli.model.effects.places import Where, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints
-from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
-from balance_cli.model.mechanics.dual_numbers import Dual, stack
+from balance_cli.model.mechanics.cell_force import CellMotion
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    force = force_parameter(geometry, where, "force", "Force at which the contact slips.")
-    return (force, stiffness_parameter(geometry, where))
+    force = contact.force_parameter(geometry, where, "force", "Force at which the contact slips.")
+    return (force, contact.stiffness_parameter(geometry, where))
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    spring = equations.springs.index(where[0])
-    shape = partial(_friction_shape, least=LEAST_FORCE_SHARE * cell_of(geometry, where).full_range)
-    contact = stack([values["force"], values["stick_stiffness"]])
-    return equations.with_force(CellForce(spring, contact, shape, read=False, held=held_force, has_kinks=True))
+    parameters = [values["force"], values["stick_stiffness"]]
+    return contact.add_contact(equations, geometry, where, parameters, _friction_shape)
 
 
 def _friction_shape(motion: CellMotion, values: Dual, least: float) -> Dual:
-    return contact_shape(motion, values[0], values[1], least)
+    return contact.contact_shape(motion, values[0], values[1], least)
 
 
 EFFECT = Effect(
@@ -66,5 +53,7 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     needs_mean=True,
-    search=SearchHints(extra_starts=slip_starts, start_from_score=start_from_score, inaccuracy=INACCURACY),
+    search=SearchHints(
+        extra_starts=contact.slip_starts, start_from_score=contact.start_from_score, inaccuracy=contact.INACCURACY
+    ),
 )

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from balance_cli.campaign.rig.geometry import Cell, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.places import Where, each_measured_cell
+from balance_cli.model.effects.places import Where, cell_at, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
@@ -28,12 +28,8 @@ GAPS = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 2.5e-1)
 of the records the stops do nothing; within a factor 1.7 of the true gap most of the force is explained."""
 
 
-def _cell(geometry: Geometry, where: Where) -> Cell:
-    return next(cell for cell in geometry.cells if cell.name == where[0])
-
-
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    cell = _cell(geometry, where)
+    cell = cell_at(geometry, where)
     k, gap = cell.effective_stiffness, GAPS[2] * cell.full_range / cell.effective_stiffness
     return (
         EffectParameter("stiffness", "N/m", 0.0, RELEVANT_STIFFNESS * k, "Stiffness of each stop.", lower=0.0),
@@ -42,7 +38,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
-    cell = _cell(geometry, where)
+    cell = cell_at(geometry, where)
     return tuple({"gap": share * cell.full_range / cell.effective_stiffness} for share in GAPS)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry import Cell, Geometry
 
 Where = tuple[str, ...]
 """A place: names of cells, channels, load components or motions; empty for an effect of the whole rig."""
@@ -68,6 +68,11 @@ def each_channel_or_group(geometry: Geometry) -> tuple[Where, ...]:
 def channels_at(geometry: Geometry, where: Where) -> tuple[str, ...]:
     """Names of the channels at a place, which is a channel or a group of channels."""
     return where if where[0] in geometry.channel_names else channel_groups(geometry)[where[0]]
+
+
+def cell_at(geometry: Geometry, where: Where) -> Cell:
+    """The cell at a place, whose first name is that of the cell."""
+    return next(cell for cell in geometry.cells if cell.name == where[0])
 
 
 def cells_at(geometry: Geometry, where: Where) -> list[int]:

@@ -16,7 +16,7 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import cell_speed
-from balance_cli.model.effects.places import Where, each_measured_cell
+from balance_cli.model.effects.places import Where, cell_at, each_measured_cell
 from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
@@ -26,7 +26,7 @@ RELEVANT_SHARE = 0.01
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    cell = geometry.cells[geometry.cell_names.index(where[0])]
+    cell = cell_at(geometry, where)
     scale = RELEVANT_SHARE * cell.full_range / cell_speed(geometry, cell) ** 2
     return (EffectParameter("c2", "N s2/m2", 0.0, scale, "Force over the square of the rate.", lower=0.0),)
 

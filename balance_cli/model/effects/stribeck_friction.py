@@ -19,23 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects import contact
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.contact import (
-    INACCURACY,
-    LEAST_FORCE_SHARE,
-    cell_of,
-    contact_shape,
-    force_parameter,
-    held_force,
-    slip_starts,
-    start_from_force,
-    stiffness_parameter,
-)
 from balance_cli.model.effects.geometry_scales import cell_speed
-from balance_cli.model.effects.places import Where, each_measured_cell
+from balance_cli.model.effects.places import Where, cell_at, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints, Start
-from balance_cli.model.mechanics.cell_force import CellForce, CellMotion
-from balance_cli.model.mechanics.dual_numbers import Dual, stack
+from balance_cli.model.mechanics.cell_force import CellMotion
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 Array = NDArray[np.float64]
@@ -46,50 +36,49 @@ of the modes: half decades about the speeds of records."""
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    speed = SPEEDS[3] * cell_speed(geometry, cell_of(geometry, where))
+    speed = SPEEDS[3] * cell_speed(geometry, cell_at(geometry, where))
     description = "Speed at which the excess of the static force has fallen to 1/e."
     return (
-        force_parameter(geometry, where, "force", "Friction at high speed (Coulomb)."),
-        force_parameter(geometry, where, "static_force", "Friction at low speed, at which the contact slips."),
+        contact.force_parameter(geometry, where, "force", "Friction at high speed (Coulomb)."),
+        contact.force_parameter(geometry, where, "static_force", "Friction at low speed, at which the contact slips."),
         EffectParameter("speed", "m/s", speed, 0.3 * speed, description, 1e-3 * speed, start=speed, nuisance=True),
-        stiffness_parameter(geometry, where),
+        contact.stiffness_parameter(geometry, where),
     )
 
 
 def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
-    fastest = cell_speed(geometry, cell_of(geometry, where))
-    return tuple({**start, "speed": share * fastest} for start, share in product(slip_starts(geometry, where), SPEEDS))
+    fastest = cell_speed(geometry, cell_at(geometry, where))
+    return tuple(
+        {**start, "speed": share * fastest} for start, share in product(contact.slip_starts(geometry, where), SPEEDS)
+    )
 
 
 def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: Start) -> Start:
     """The forces that the score estimates, with the stiffness that gives the slip distance of the score."""
     slipping = max(estimate["static_force"], estimate["force"])
-    return {**start_from_force(geometry, where, start, slipping), **estimate, "static_force": slipping}
+    return {**contact.start_from_force(geometry, where, start, slipping), **estimate, "static_force": slipping}
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    spring = equations.springs.index(where[0])
-    least = LEAST_FORCE_SHARE * cell_of(geometry, where).full_range
     shared = [values["static_force"], values["stick_stiffness"], values["speed"]]
     for name, is_slow in (("force", False), ("static_force", True)):
         held = _held_force if is_slow else _held_nothing
-        shape = partial(_friction_shape, least=least, is_slow=is_slow)
-        contact = stack([values[name], *shared])
-        force = CellForce(spring, contact, shape, read=False, held=held, has_kinks=True, needs_rate=True)
-        equations = equations.with_force(force)
+        shape = partial(_friction_shape, is_slow=is_slow)
+        parameters = [values[name], *shared]
+        equations = contact.add_contact(equations, geometry, where, parameters, shape, held, needs_rate=True)
     return equations
 
 
 def _friction_shape(motion: CellMotion, values: Dual, least: float, is_slow: bool) -> Dual:
     """The contact times the share of its static force at the present speed, or times what that leaves."""
-    contact = contact_shape(motion, values[1], values[2], least)
+    force = contact.contact_shape(motion, values[1], values[2], least)
     ratio = motion.rate * values[3].reciprocal()
     share = (-(ratio * ratio)).exp()
-    return contact * (share if is_slow else 1.0 - share)
+    return force * (share if is_slow else 1.0 - share)
 
 
 def _held_force(values: Array, span: float) -> float:
-    return held_force(values[1:], span)
+    return contact.held_force(values[1:], span)
 
 
 def _held_nothing(values: Array, span: float) -> float:
@@ -110,6 +99,6 @@ EFFECT = Effect(
     apply=_apply,
     needs_mean=True,
     search=SearchHints(
-        extra_starts=_extra_starts, start_from_score=_start_from_score, inaccuracy=INACCURACY, on_request=True
+        extra_starts=_extra_starts, start_from_score=_start_from_score, inaccuracy=contact.INACCURACY, on_request=True
     ),
 )
