@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log
+from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,6 @@ from balance_cli.signals.local.scaled_spectrum import RATIONAL_LINES, ScaledSpec
 from balance_cli.signals.local.tones import tone_lines
 from balance_cli.signals.local.window import (
     WindowFit,
-    design_matrix,
-    design_pseudoinverse,
     response_rows,
     split_windows,
 )
@@ -47,8 +45,9 @@ RECORD_MODEL_ORDERS = (
 """Candidates of the second pass: up to three modes in a window, and polynomials where no mode is near."""
 POLYNOMIAL_ORDERS = ModelOrders(2, 2, 0)
 """Orders of the local polynomial method; second degree is customary (Pintelon and Schoukens, 2012, chapter 7)."""
-RATIONAL_WIDTH_HZ = 3.0
-"""Least width of such a window: a few half-power widths of a mode of 100 Hz and 1 %."""
+RATIONAL_WIDTH = 0.132
+"""Least width of such a window over the geometric middle of the band, or over the width of a narrow band: several
+half-power widths of a mode of 1 % in the middle; 3 Hz of the band of 4 to 146 Hz by which these models are tested."""
 MOST_RESPONSE_LINES = 6000
 """Lines of a response; a longer record is decimated, which keeps files and fits small."""
 LEAST_CHANNEL_DOF = 500
@@ -131,7 +130,8 @@ def _window_layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple
     if estimator == "lpm":
         M = POLYNOMIAL_ORDERS.coefficients(inputs) + POLYNOMIAL_DOF | 1
         return (POLYNOMIAL_ORDERS,), M, 1 + len(frequency) // MOST_RESPONSE_LINES
-    width = int(RATIONAL_WIDTH_HZ / (frequency[1] - frequency[0]))
+    least, most = frequency[0], frequency[-1]
+    width = int(RATIONAL_WIDTH * min(sqrt(least * most), most - least) / (frequency[1] - least))
     M = max(RATIONAL_LINES, width, 3 * max(o.coefficients(inputs) for o in RECORD_MODEL_ORDERS)) | 1
     return RECORD_MODEL_ORDERS, M, M // 3
 
@@ -200,8 +200,8 @@ def _assemble_models(
         lines = np.arange(*assigned_lines[w])
         inside = lines - first[w]
         residual[lines] = fit.residual[inside]
-        inverse = design_pseudoinverse(fit)
-        leverage = np.einsum("kq,qk->k", design_matrix(fit)[inside], inverse[:, inside]).real
+        inverse = fit.pseudoinverse
+        leverage = np.einsum("kq,qk->k", fit.regressors[inside], inverse[:, inside]).real
         counts[lines] = np.clip(1.0 - leverage, LEAST_LINE_COUNT, 1.0)
         weights = response_rows(fit, fit.r[inside]) @ inverse
         variance[lines] = np.sum(np.abs(weights) ** 2, axis=1) @ level[first[w] : first[w] + len(fit.r)]

@@ -13,7 +13,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.local.misfit import missed_response_power
 from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models
 from balance_cli.signals.local.scaled_spectrum import local_power, record_spectrum
-from balance_cli.signals.local.window import design_pseudoinverse, pole_uncertainty, response_rows
+from balance_cli.signals.local.window import pole_uncertainty, response_rows
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[
         assigned = slice(*np.searchsorted(lines, models.assigned_lines[w]))
         r = fit.r[lines[assigned] - start]
         noise = models.noise.equation_error_covariance(models.response, slice(start, start + len(fit.r)))
-        weights = response_rows(fit, r) @ design_pseudoinverse(fit)
+        weights = response_rows(fit, r) @ fit.pseudoinverse
         loads[assigned] = weights @ weights.conj().swapaxes(1, 2)
         precision = _load_precision(models, loads[assigned])
         share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights, optimize=True).real / u

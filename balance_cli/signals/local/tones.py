@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.signals.local.fit import WindowedData
-from balance_cli.signals.local.window import WindowFit, design_matrix, poles
+from balance_cli.signals.local.window import WindowFit, poles
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -80,7 +80,7 @@ def _tone_amplitudes(
     distance = np.abs(_pole_positions(fit) - positions[:, None])
     positions = positions[np.min(distance, axis=1, initial=np.inf) > TONE_TOLERANCE]
     tones = _dirichlet_kernel(positions, M)
-    basis = np.linalg.qr(design_matrix(replace(fit, U=window.U[0])))[0]
+    basis = np.linalg.qr(replace(fit, U=window.U[0]).regressors)[0]
     remainder = tones - basis @ (basis.conj().T @ tones)
     return positions, np.asarray(np.linalg.lstsq(remainder, window.Y[0], rcond=None)[0])
 

@@ -104,16 +104,6 @@ def transient_rows(fit: WindowFit, r: Array) -> ComplexArray:
     return rows
 
 
-def design_matrix(fit: WindowFit) -> ComplexArray:
-    """Return the regressors (M, q) at the lines of the window."""
-    return fit.regressors
-
-
-def design_pseudoinverse(fit: WindowFit) -> ComplexArray:
-    """Return the matrix (q, M) that maps the outputs of the window to its linear coefficients."""
-    return fit.pseudoinverse
-
-
 def poles(fit: WindowFit) -> ComplexArray:
     """Return the poles, as complex positions r."""
     if fit.orders.denominator == 0:
@@ -138,10 +128,10 @@ def denominator_errors(fit: WindowFit, noise: ComplexArray) -> DenominatorErrors
     size = fit.orders.denominator + 1
     if size == 1:
         return DenominatorErrors(np.zeros((1, 1), complex), np.zeros((*fit.coefficients.shape, 1), complex))
-    model = design_matrix(fit) @ fit.coefficients
+    model = fit.regressors @ fit.coefficients
     derivatives = -log_derivative(fit, fit.r)[:, None, :] * model[:, :, None]
-    coefficient_changes = np.tensordot(design_pseudoinverse(fit), derivatives, axes=1)
-    projected = (derivatives - np.tensordot(design_matrix(fit), coefficient_changes, axes=1)) * (fit.weight**2)[
+    coefficient_changes = np.tensordot(fit.pseudoinverse, derivatives, axes=1)
+    projected = (derivatives - np.tensordot(fit.regressors, coefficient_changes, axes=1)) * (fit.weight**2)[
         :, None, None
     ]
     flat = (projected / fit.weight[:, None, None]).reshape(-1, size)
@@ -179,11 +169,11 @@ class Remainder:
 
 def remainder_at_center(fit: WindowFit, lines: Index, errors: DenominatorErrors) -> Remainder:
     """Subtract the transient, and what the response differs by from that at the middle one of these lines (L,)."""
-    center, model = len(lines) // 2, design_matrix(fit)[lines]
+    center, model = len(lines) // 2, fit.regressors[lines]
     at_center = np.sum(fit.U[lines][:, :, None] * response_rows(fit, fit.r[lines[center : center + 1]]), axis=1)
     subtracted = model - at_center
     # Linear in the outputs of the window: those of the group less a part of the coefficients.
-    operator = -(subtracted @ design_pseudoinverse(fit))
+    operator = -(subtracted @ fit.pseudoinverse)
     operator[np.arange(len(lines)), lines] += 1.0
     slopes = log_derivative(fit, fit.r[lines])
     change = slopes[:, None, :] * (model @ fit.coefficients)[:, :, None]

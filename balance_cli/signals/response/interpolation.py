@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.local.window import derivative_rows, design_pseudoinverse, pole_uncertainty, response_rows
+from balance_cli.signals.local.window import derivative_rows, pole_uncertainty, response_rows
 from balance_cli.signals.response.window_models import LOCAL_LINES, WindowModel, neighboring_lines, window_models
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -88,7 +88,7 @@ def interpolate_values(response: FrequencyResponse, frequency: Array, method: st
     for g, model in enumerate(window_models(response, starts[:, None] + np.arange(index.shape[1]))):
         members = np.flatnonzero(gap == g)
         rows = response_rows(model.fit, model.position(query_frequency[members]))
-        weights = (rows @ design_pseudoinverse(model.fit))[:, 0]
+        weights = (rows @ model.fit.pseudoinverse)[:, 0]
         values[members] = np.tensordot(weights, response.response[model.index], axes=1)
     return values
 
@@ -177,7 +177,7 @@ def _window_weights(response: FrequencyResponse, model: WindowModel, query_frequ
     c, u = response.response.shape[1:]
     fit, index, sigma = model.fit, model.index, model.sigma
     place = np.atleast_1d(model.position(query_frequency))
-    S = design_pseudoinverse(fit)
+    S = fit.pseudoinverse
     value, derivative = (response_rows(fit, place) @ S)[0, 0], (derivative_rows(fit, place) @ S)[0, 0] / model.half
     if fit.orders.denominator == 0:
         return _LineWeights(index, value, derivative, np.zeros((c, u, 0), complex))

@@ -13,7 +13,6 @@ from balance_cli.signals.local.response import local_response, response_from_mod
 from balance_cli.signals.local.scaled_spectrum import record_spectrum
 from balance_cli.signals.local.window import (
     derivative_rows,
-    design_pseudoinverse,
     pole_uncertainty,
     poles,
     response_rows,
@@ -76,6 +75,16 @@ def test_covariance_of_the_response_is_right(lrm):
     chi2 = scaled_error(lrm, RIG)
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.3)
     assert np.median(chi2) == pytest.approx(0.85, abs=0.25)
+
+
+def test_a_rig_that_is_slower_throughout_has_the_same_response():
+    """The same samples, recorded at a twentieth of the rate: only the frequencies are others."""
+    run = RIG.random(seed=1, seconds=14.0)
+    fast = local_response(run, RIG.names, "lrm", BAND)
+    slow = local_response(replace(run, sample_rate=RIG.rate / 20.0), RIG.names, "lrm", (BAND[0] / 20, BAND[1] / 20))
+    np.testing.assert_allclose(slow.frequency, fast.frequency / 20.0, rtol=1e-12)
+    np.testing.assert_allclose(slow.response, fast.response, rtol=1e-9)
+    np.testing.assert_allclose(slow.channel_covariance, fast.channel_covariance, rtol=1e-9)
 
 
 def test_coherence_is_high_and_below_one(lrm):
@@ -214,7 +223,7 @@ def test_slope_of_a_window():
 def test_influence_gives_the_coefficients():
     windows, _, _ = window(noise=0.1)
     one = split_windows(fit_windows(windows, ModelOrders(2, 1, 1)), windows)[0]
-    assert design_pseudoinverse(one) @ windows.Y[0] == pytest.approx(one.coefficients)
+    assert one.pseudoinverse @ windows.Y[0] == pytest.approx(one.coefficients)
 
 
 def test_stated_uncertainty_of_a_window_is_that_of_repetitions():
@@ -229,7 +238,7 @@ def test_stated_uncertainty_of_a_window_is_that_of_repetitions():
         one = split_windows(fit_windows(noisy, ModelOrders(1, 1, 1)), noisy)[0]
         errors.append((response_rows(one, r) @ one.coefficients)[0, 0] - G(0.2))
         covariance = np.broadcast_to(noise**2 * np.eye(3), (61, 3, 3))
-        linear = noise**2 * np.sum(np.abs(response_rows(one, r)[0, 0] @ design_pseudoinverse(one)) ** 2)
+        linear = noise**2 * np.sum(np.abs(response_rows(one, r)[0, 0] @ one.pseudoinverse) ** 2)
         stated.append(linear + np.sum(np.abs(pole_uncertainty(one, r, covariance)[0, :, 0]) ** 2, axis=1))
     assert np.mean(np.abs(errors) ** 2, axis=0) == pytest.approx(np.mean(stated, axis=0), rel=0.2)
     assert np.abs(np.mean(errors, axis=0)) == pytest.approx(np.zeros(3), abs=3.5 * np.sqrt(np.max(stated) / 300))
