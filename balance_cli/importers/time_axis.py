@@ -60,7 +60,10 @@ def read_time_axis(read: ReadBlock, samples: int, factor: float = 1.0) -> TimeAx
         sums += index @ times, times.sum()
     step, mean = sums[0] / square, sums[1] / samples
     if not step > 0.0:
-        raise UserError("the times do not increase", remedy="Give the sample rate in the map instead of a time")
+        fault, remedy = "the times do not increase", "Give the sample rate in the map instead of a time"
+        if step < 0.0:
+            fault, remedy = "the times decrease from row to row", "Write the rows in the order of their times"
+        raise UserError(fault, remedy=remedy)
     written = read_written_times(read, samples, 1.0 / (step * factor), factor)
     if written is not None:
         errors = (read([0], 0, min(BLOCK, samples))[:, 0] * factor - written.start) * written.rate
@@ -95,12 +98,25 @@ def _scatter(read: ReadBlock, samples: int, first: float, step: float, begin: fl
         errors = (times - begin) / step - np.arange(start, start + len(times))
         largest = max(largest, float(np.abs(errors).max()))
         if largest > LARGEST_SCATTER or _largest_mean(errors) > LARGEST_SHIFT:
-            steps = np.diff(times if before is None else np.concatenate([[before], times]))
-            jumps = np.abs(steps / step - 1.0)
-            place = f"sample {start + int(np.argmax(jumps)) + (2 if before is None else 1)}"
-            fault = f"the times are not even: {largest:.3g} steps off a straight line"
-            if np.mean(steps == 0.0) > LARGEST_REPEATED_SHARE:
-                fault += " (most are equal to the one before: they have too few digits to tell a gap from rounding)"
-            raise UserError(fault, place=place, remedy="Cut the record at the gap, or give the sample rate in the map")
+            steps = np.diff(times if before is None else np.concatenate([[before], times])) / step
+            raise _uneven(steps, start + (2 if before is None else 1), largest)
         before = times[-1]
     return largest
+
+
+def _uneven(steps: Array, first: int, largest: float) -> UserError:
+    """What is wrong with times whose steps (n,), over the mean step, end at samples from `first`, and what helps."""
+    fault = f"the times are not even: {largest:.3g} steps off a straight line"
+    worst = int(np.argmax(np.abs(steps - np.median(steps))))
+    remedy = "Cut the record at the gap, or give the sample rate in the map"
+    if np.mean(steps == 0.0) > LARGEST_REPEATED_SHARE:
+        worst = int(np.argmax(np.abs(steps - 1.0)))
+        fault += " (most are equal to the one before: they have too few digits to tell a gap from rounding)"
+    elif steps.min() < 0.0:
+        worst = int(np.argmin(steps))
+        fault += " (a time is before that of the row above)"
+        remedy = "Write the rows in the order of their times, each once; a clock that begins anew is another record"
+    elif steps[worst] == 0.0:
+        fault += " (a time is that of the row above)"
+        remedy = "Remove rows that are there twice"
+    return UserError(fault, place=f"sample {first + worst}", remedy=remedy)

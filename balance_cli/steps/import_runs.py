@@ -97,7 +97,7 @@ def import_run(declared: DeclaredRun, files: Sequence[ForeignFile]) -> ImportedR
         reading_units={each.target: each.reading_unit for each in channels if each.reading_unit != VOLTAGE},
         **(point_labels(finder, mapping) if entry.kind == "static" else {}),
     )
-    notes = [*_file_notes(files, finder, mapping, [*measuring, *slow], has_loads), *notes, *supplies.notes, *load_notes]
+    notes = [*_file_notes(finder, mapping, [*measuring, *slow], has_loads), *notes, *supplies.notes, *load_notes]
     return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
 
 
@@ -111,15 +111,9 @@ def _load_signals(finder: ChannelFinder, declared: DeclaredRun) -> tuple[list[Si
     return mapped_signals(finder, {name: load for name, load in loads.items() if name not in silent}), notes
 
 
-def _file_notes(
-    files: Sequence[ForeignFile],
-    finder: ChannelFinder,
-    mapping: ImportMap,
-    signals: Sequence[Signal],
-    has_loads: bool,
-) -> list[str]:
+def _file_notes(finder: ChannelFinder, mapping: ImportMap, signals: Sequence[Signal], has_loads: bool) -> list[str]:
     """What is to be told of the files, their times and units, and of loads that a run of this kind does not have."""
-    notes = [*(note for file in files for note in file.notes), *finder.clock_notes]
+    notes = [*(note for file in finder.files for note in file.notes), *finder.clock_notes]
     notes += [signal.note for signal in signals if signal.note]
     unused = [*mapping.loads, *(point.channel for point in mapping.load_points)]
     if unused and not has_loads:

@@ -14,6 +14,7 @@ from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_timeline import Clock
 
 CONTRADICTION = 1e-3
@@ -63,11 +64,12 @@ class ChannelFinder:
     """The channels of the files of one run, by name."""
 
     def __init__(self, files: Sequence[ForeignFile], declared: ImportMap) -> None:
-        self.files, self._map = files, declared
+        self._map = declared
+        self.files = joined_pieces(files, self._used_names(), declared.time)
         self._channels: dict[str, FoundChannel] = {}
         self._clocks: dict[int, tuple[Clock, str]] = {}
         self._at_stated_rate: dict[str, FoundChannel] = {}
-        for file in files:
+        for file in self.files:
             for group in file.groups:
                 for column, channel in enumerate(group.channels):
                     self._add(FoundChannel(channel.name, file, group, column))
@@ -76,13 +78,26 @@ class ChannelFinder:
         first = self._channels.setdefault(channel.name, channel)
         if first is not channel and channel.name in self._used_names():
             fault = f"has the channel `{channel.name}`, which {first.file.path} has, too"
-            remedy = f"Give these files different run names, or write `{channel.file.path.name}/{channel.name}`"
+            remedy = (
+                f"Give these files different run names, or write `{channel.file.path.name}/{channel.name}`; of pieces "
+                "of one record the times must go on from file to file"
+            )
             raise UserError(fault, str(channel.file.path), remedy=remedy)
 
     def _used_names(self) -> set[str]:
         declared = self._map
         mapped = {*declared.channels, *declared.loads, *declared.attitude, *declared.temperature}
         return mapped | {point.channel for point in declared.load_points}
+
+    def namesakes(self, channel: FoundChannel) -> list[FoundChannel]:
+        """Channels of the same name in other files of the run."""
+        return [
+            FoundChannel(channel.name, file, group, group.names.index(channel.name))
+            for file in self.files
+            if file is not channel.file
+            for group in file.groups
+            if channel.name in group.names and not group.unusable
+        ]
 
     def find(self, name: str) -> FoundChannel:
         """The channel of this name, or of one file as `FILE/CHANNEL`; `*` and `?` in FILE stand for any characters.

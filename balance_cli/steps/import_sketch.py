@@ -206,6 +206,10 @@ def _nearest(name: str, names: Sequence[str]) -> str | None:
     return plain[match[0]] if match else None
 
 
+FORCE_MEMBER = re.compile(r"(f|m|force|moment|torque|load|kraft|last)\b", re.IGNORECASE)
+"""Names of members of a structure that may have its load."""
+
+
 def _guess_loads(
     channels: Sequence[ForeignChannel],
 ) -> tuple[dict[str, tuple[ForeignChannel, str]], list[ForeignChannel]]:
@@ -213,7 +217,9 @@ def _guess_loads(
     loads: dict[str, tuple[ForeignChannel, str]] = {}
     rest = []
     for channel in channels:
-        words = re.split(r"[^A-Za-z]+", channel.name)
+        # A structure `sweep_Fx` holds its force beside times and channels that are none.
+        member = re.split(r"[./]", channel.name)[-1]
+        words = re.split(r"[^A-Za-z]+", channel.name if FORCE_MEMBER.match(member) else member)
         component = next((name for name in COMPONENTS if name.lower() in [word.lower() for word in words]), None)
         unit = unit_of(channel.unit, FORCE, MOMENT)
         if component and (unit or not channel.unit) and component not in [name for _, name in loads.values()]:

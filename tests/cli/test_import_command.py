@@ -373,6 +373,62 @@ def test_two_channels_of_one_name_are_refused_with_the_names_that_tell_them_apar
     assert "accel-1.txt/column 2" in result.stderr
 
 
+def write_pieces(folder, starts, name="rec-{}.csv"):
+    """Pieces of 700 samples of one record, with times that begin at `starts` [s]; their files and the record (n, 2)."""
+    record = np.random.default_rng(3).normal(size=(700 * len(starts), 2))
+    files = [folder / name.format(k) for k in range(len(starts))]
+    for file, start, rows in zip(files, starts, np.split(record, len(starts)), strict=True):
+        table = np.c_[start + np.arange(700) / 1000.0, rows]
+        np.savetxt(file, table, "%.9g", ",", header="t [s],a [V],b [V]", comments="")
+    return files, record
+
+
+def test_pieces_that_continue_each_other_are_one_record(tmp_path):
+    """In the order of their times: `rec-10` stands before `rec-2` in a folder."""
+    (first, second, third), record = write_pieces(tmp_path, (0.0, 0.7, 1.4))
+    run = {"file": "rec-*.csv", "run": "rec", "kind": "zero"}
+    mapping = base_map(time="t", channels={"a": "a", "b": "b"}, runs=[run])
+    result = run_import(tmp_path, mapping, third, first, second)
+    read = open_run(tmp_path / "runs" / "rec.h5")
+    assert read.sample_rate == 1000.0 and np.allclose(read.read().channels, record, atol=1e-8)
+    assert "continue each other, and are one record: rec-0.csv, rec-1.csv, rec-2.csv" in result.output
+
+
+@pytest.mark.parametrize("second", [0.0, 0.702, 0.699, 60.0])
+def test_pieces_with_a_gap_or_a_clock_of_their_own_are_refused(tmp_path, second):
+    files, _ = write_pieces(tmp_path, (0.0, second))
+    run = {"file": "rec-*.csv", "run": "rec", "kind": "zero"}
+    result = run_import(tmp_path, base_map(time="t", channels={"a": "a"}, runs=[run]), *files, status=2)
+    assert "of pieces of one record the times must go on from file to file" in result.stderr
+
+
+@pytest.mark.parametrize(("late", "status"), [(0.0, 0), (1.234, 2), (0.0003, 2)])
+def test_two_boxes_with_clocks_of_their_own_are_told_by_their_tachometers(tmp_path, late, status):
+    """Each box counts from its own start: the channels of one were half a revolution off, without a word."""
+    rotor, pulse = RotorKinematics(15.0, drift=0.01), np.arange(6000) / 1000.0
+    for name, start in (("a", 0.0), ("b", late)):
+        azimuth = rotor.azimuth(pulse + start)
+        tachometer = 5.0 * np.clip(30.0 * (0.1 - np.abs((azimuth / (2 * np.pi) + 0.5) % 1.0 - 0.5)), 0.0, 1.0)
+        table = np.c_[pulse, np.cos(azimuth), tachometer]
+        np.savetxt(tmp_path / f"{name}-1.csv", table, "%.9g", ",", header=f"t [s],{name} [V],tacho [V]", comments="")
+    run = {"file": "?-1.csv", "run": "wind-1", "kind": "wind"}
+    mapping = base_map(time="t", channels={"a": "a", "b": "b"}, rotor={"channel": "tacho"}, runs=[run])
+    result = run_import(tmp_path, mapping, tmp_path / "a-1.csv", tmp_path / "b-1.csv", status=status)
+    if status:
+        assert "the clocks of these files differ" in result.stderr
+
+
+def test_a_sketch_takes_no_time_or_channel_of_a_structure_for_its_load(tmp_path):
+    time = np.arange(200) / 100.0
+    record = {"t": time, "y": np.random.default_rng(1).normal(size=(200, 2)), "F": np.cos(time)}
+    scipy.io.savemat(tmp_path / "sweeps.mat", {"sweep_Fx": record, "sweep_Fz": record})
+    sketch = yaml.safe_load(invoke("import", "--sketch", tmp_path / "sweeps.mat").stdout)
+    assert {name: load["component"] for name, load in sketch["loads"].items()} == {
+        "sweep_Fx.F": "Fx",
+        "sweep_Fz.F": "Fz",
+    }
+
+
 def test_a_spectrum_with_a_column_called_time_is_refused(tmp_path):
     """LabVIEW writes spectra like records: `X_Dimension Time`, `Delta_X`."""
     head = "LabVIEW Measurement\t\nX_Columns\tMulti\n***End_of_Header***\t\n\t\nChannels\t1\t\nX_Dimension\tTime\t\n"

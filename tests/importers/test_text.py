@@ -144,6 +144,29 @@ def test_a_missing_sample_is_found():
     assert caught.value.place == "sample 3218"
 
 
+@pytest.mark.parametrize(
+    ("rows", "sample", "remedy"),
+    [
+        (np.insert(np.arange(6000), 3000, 2999), 3001, "Remove rows that are there twice"),
+        (np.r_[0:3000, 2500:6000], 3001, "each once"),
+        (np.r_[0:3000, 3001, 3000, 3002:6000], 3002, "in the order of their times"),
+        (np.r_[0:3000, 0:3000], 3001, "a clock that begins anew is another record"),
+        (np.r_[0:3000, 3003:6000], 3001, "Cut the record at the gap"),
+    ],
+)
+def test_rows_that_are_there_twice_or_in_another_order_are_no_gap(rows, sample, remedy):
+    """The sample rate in the map, which was the remedy for all, reads such records without a word."""
+    with pytest.raises(UserError, match="not even") as caught:
+        axis(rows / 1000.0)
+    assert caught.value.place == f"sample {sample}" and remedy in str(caught.value.remedy)
+
+
+def test_a_record_in_reverse_order_is_told_to_be_that():
+    with pytest.raises(UserError, match="decrease") as caught:
+        axis(np.arange(6000)[::-1] / 1000.0)
+    assert "sample rate" not in str(caught.value.remedy)
+
+
 def test_a_rate_that_is_not_whole_stays():
     assert axis(np.arange(10000) / 610.3516).rate == pytest.approx(610.3516, rel=1e-12)
 
