@@ -121,7 +121,7 @@ def output_jacobian(
     springs, mixing = system.springs_of_channels, system.equations.mixing
     forces = spring_forces(system, solution, index, loads, extra)
     volts = solution.gains[index] * forces[:, springs]
-    moving = mask_or_full_slice(structural_parameters(system))
+    moving = mask_or_full_slice(system.structural_parameters)
     derivatives = _force_volts_jacobian(system, solution, index, loads, extra, moving)
     if not isinstance(moving, slice):
         of_forces, derivatives = derivatives, np.zeros((*volts.shape, system.parameters), complex)
@@ -145,25 +145,6 @@ def _add_gain_derivatives(
         own = path_parameters(path)
         if own.any():
             derivatives[:, c, own] += np.asarray(volts[:, c, None] * log_gain_derivative(path, s, own)[index])
-
-
-def structural_parameters(system: System) -> Mask:
-    """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
-    pencil = system.pencil
-    parts = (
-        pencil.mass,
-        pencil.damping,
-        pencil.gyroscopic,
-        pencil.stiffness,
-        pencil.hysteresis,
-        pencil.frequency_stiffness,
-        system.readings,
-        system.readings_loss,
-        system.readings_frequency_stiffness,
-        system.inputs,
-        system.reactions,
-    )
-    return np.asarray(np.any([part.derivative.any(axis=(1, 2)) for part in parts], axis=0))
 
 
 def mask_or_full_slice(selection: Mask) -> Selection:

@@ -8,6 +8,7 @@ there is motion; at rest they are zero, and the sign of H is that of the frequen
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,25 @@ class System:
     def springs_of_channels(self) -> list[int]:
         """Index of the spring that each channel reads (c,)."""
         return [path.spring for path in self.equations.paths]
+
+    @cached_property
+    def structural_parameters(self) -> NDArray[np.bool_]:
+        """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
+        pencil = self.pencil
+        parts = (
+            pencil.mass,
+            pencil.damping,
+            pencil.gyroscopic,
+            pencil.stiffness,
+            pencil.hysteresis,
+            pencil.frequency_stiffness,
+            self.readings,
+            self.readings_loss,
+            self.readings_frequency_stiffness,
+            self.inputs,
+            self.reactions,
+        )
+        return np.asarray(np.any([part.derivative.any(axis=(1, 2)) for part in parts], axis=0))
 
     def coupled_spin(self, spin: float) -> float:
         """Return the rotor speed [Hz] that the equations depend on: 0 without gyroscopic coupling."""

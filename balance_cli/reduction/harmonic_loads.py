@@ -16,7 +16,7 @@ from balance_cli.reduction.measured_response import highest_frequency, lowest_fr
 from balance_cli.reduction.response_sources import ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.speed_modulation import SPEED_MEMORY
-from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
+from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads, weighted_inverse
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
 
@@ -46,6 +46,12 @@ class LoadProblem:
         """Return the problem of readings that are multiplied by a matrix (r, r), with their noise."""
         noise, weighting = (matrix @ covariance @ matrix.T for covariance in (self.noise, self.weighting))
         return replace(self, readings=self.readings @ matrix.T, noise=noise, weighting=weighting)
+
+    def loads(self) -> Array:
+        """Return the loads (h, 2m) alone, as real and imaginary parts: a third of the time of `solve`."""
+        estimator, _ = weighted_inverse(stacked_real(self.T), circular_real(self.weighting))
+        readings = np.concatenate([self.readings.real, self.readings.imag], axis=1)
+        return np.asarray(np.einsum("hba,ha->hb", estimator, readings))
 
     def solve(self) -> SolvedLoads:
         """Estimate the loads, weighted by noise."""

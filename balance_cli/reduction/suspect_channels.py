@@ -119,7 +119,7 @@ def _explaining(
     trials = [mistake for mistake in evaluated if np.isfinite(mistake.chi2)]
     if not trials:
         return []
-    error = problem.response_covariance(_loads(_undone(min(trials, key=_remaining), problem)))
+    error = problem.response_covariance(_undone(min(trials, key=_remaining), problem).loads())
     by_same = [_examine(item, problem, samples, error) for item in trials]
     least = [min(pair, key=_remaining) for pair in zip(trials, by_same, strict=True)]
     best = min(least, key=_remaining).chi2
@@ -138,12 +138,6 @@ def _channel_noise_chi2(problem: LoadProblem, samples: int) -> float:
 
 def _remaining(mistake: ChannelMistake) -> float:
     return mistake.chi2
-
-
-def _loads(problem: LoadProblem) -> Array:
-    """Return the loads (h, 2m) as real and imaginary parts."""
-    loads = problem.solve().loads
-    return np.concatenate([loads.real, loads.imag], axis=1)
 
 
 @dataclass(frozen=True)
@@ -178,7 +172,7 @@ def _residuals(problem: LoadProblem, samples: int, response_error: Array | None 
 
     `response_error` (h, 2r, 2r) is its covariance, by default that for the loads of these readings.
     """
-    error = problem.response_covariance(_loads(problem)) if response_error is None else response_error
+    error = problem.response_covariance(problem.loads()) if response_error is None else response_error
     N = np.swapaxes(redundant_directions(stacked_real(problem.T)), 1, 2)
     covariance = circular_real(problem.weighting) * (4.0 / samples) + error
     weight = N @ np.linalg.solve(np.swapaxes(N, 1, 2) @ covariance @ N, np.swapaxes(N, 1, 2))

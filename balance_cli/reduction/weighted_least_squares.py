@@ -105,7 +105,7 @@ def solve_loads(
     a, b = T.shape[1:]
     few = dof < DOF_PER_REDUNDANT_EQUATION * (a - b) / 2
     tested_noise = np.where(few[:, None, None], noise * np.eye(a), noise)
-    G, noise_covariance = _weighted_inverse(T, tested_noise if weighting_covariance is None else weighting_covariance)
+    G, noise_covariance = weighted_inverse(T, tested_noise if weighting_covariance is None else weighting_covariance)
     # Weights that are not the inverse of the noise's covariance: the errors of the loads are those of the noise itself.
     propagated = few | (weighting_covariance is not None)
     factor = _estimated_weights_factor(np.where(propagated, np.inf, dof), a - b)[:, None, None]
@@ -133,7 +133,7 @@ def solve_loads(
     )
 
 
-def _weighted_inverse(T: Array, covariance: Array) -> tuple[Array, Array]:
+def weighted_inverse(T: Array, covariance: Array) -> tuple[Array, Array]:
     """Return G = (T' C^-1 T)^-1 T' C^-1 and the covariance (T' C^-1 T)^-1 of G y."""
     weighted = np.linalg.solve(covariance, T)
     inverse = np.linalg.inv(np.swapaxes(T, 1, 2) @ weighted)
