@@ -184,7 +184,18 @@ def _history(key: tuple[str, str, str], values: Array, variance: Array, dof: Arr
         limits = _limits(values[:-1], variance)
     else:
         mean, scatter_p, drift, limits = float(np.mean(values)), float("nan"), (float("nan"),) * 3, (float("nan"),) * 2
-    return CoefficientHistory(*key, values, np.sqrt(variance), mean, scatter_p, *drift, *limits)
+    return CoefficientHistory(
+        *key,
+        values=values,
+        sigma=np.sqrt(variance),
+        mean=mean,
+        scatter_p=scatter_p,
+        drift=drift[0],
+        drift_sigma=drift[1],
+        drift_p=drift[2],
+        low=limits[0],
+        high=limits[1],
+    )
 
 
 def _scatter(values: Array, variance: Array, dof: Array) -> tuple[float, float]:

@@ -72,10 +72,13 @@ def _batch_quality(batch: Batch, system: System, frf_limits: tuple[float, float]
     for i, name in enumerate(batch.run_names):
         of_run = batch.lines.run == i
         band = of_run & in_band
-        relative = [_rms_ratio(part[band], signal[band]) for part in (error, noise)]
-        chi2 = float((fit.chi2[of_run] / batch.lines.efficiency[of_run]).sum())
         amplitudes = sum(part.effective_parameters for part in fit.transients if part.lines == batch.parts[i])
-        qualities[name] = RunFit(chi2, float(batch.lines.count[of_run].sum() - amplitudes), *relative)
+        qualities[name] = RunFit(
+            chi2=float((fit.chi2[of_run] / batch.lines.efficiency[of_run]).sum()),
+            dof=float(batch.lines.count[of_run].sum() - amplitudes),
+            frf_error=_rms_ratio(error[band], signal[band]),
+            frf_noise_floor=_rms_ratio(noise[band], signal[band]),
+        )
     return qualities
 
 

@@ -70,19 +70,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     lines = text.splitlines() if is_whole else text.splitlines()[:-1]
     while is_whole and lines and is_remark(lines[-1]):
         lines.pop()
-    stated = re.match(r"^sep=(.)$", lines[0]) if lines else None
-    separators = [layout.separator or stated[1]] if layout.separator or stated else list(SEPARATORS)  # type: ignore[index]
-    decimals = [layout.decimal] if layout.decimal else [".", ","]
-    choices = [
-        _lay_out(lines, separator, decimal, layout)
-        for separator in separators
-        for decimal in decimals
-        if separator != decimal
-    ]
-    best = max((choice for choice in choices if choice), key=lambda choice: choice[0], default=None)
-    if best is None:
-        raise UserError("has no columns of numbers", remedy="State `separator`, `decimal` and `first_row` under `text`")
-    _, separator, decimal, first = best
+    separator, decimal, first = _choose_separators(lines, layout)
     rows = [split_cells(line, separator) for line in lines]
     if layout.first_row is None:
         first += first == 0 and _is_row_of_numbers_as_names(rows, decimal)
@@ -103,9 +91,35 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         _require_one_clock(rows[:first])
     sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
     return Columns(
-        *(encoding, separator, decimal, first, names, units, numeric, clock),
-        *(rate or stated_rate(lines[:first]), sparse, times, sign),
+        encoding=encoding,
+        separator=separator,
+        decimal=decimal,
+        first_row=first,
+        names=names,
+        units=units,
+        numeric=numeric,
+        clock=clock,
+        stated_rate=rate or stated_rate(lines[:first]),
+        sparse=sparse,
+        times=times,
+        group_sign=sign,
     )
+
+
+def _choose_separators(lines: Sequence[str], layout: TextLayout) -> tuple[str, str, int]:
+    """Separator, decimal sign and first row of numbers, as they are stated or as they give the best table."""
+    stated = re.match(r"^sep=(.)$", lines[0]) if lines else None
+    separator = layout.separator or (stated[1] if stated else None)
+    choices = [
+        _lay_out(lines, separator, decimal, layout)
+        for separator in ([separator] if separator else SEPARATORS)
+        for decimal in ([layout.decimal] if layout.decimal else [".", ","])
+        if separator != decimal
+    ]
+    best = max((choice for choice in choices if choice), key=lambda choice: choice[0], default=None)
+    if best is None:
+        raise UserError("has no columns of numbers", remedy="State `separator`, `decimal` and `first_row` under `text`")
+    return best[1:]
 
 
 def _without_sample_numbers(

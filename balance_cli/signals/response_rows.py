@@ -86,9 +86,18 @@ def _static_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | Non
     rows = len(loads)
     index = np.full(rows, -1)
     channels, loads = channels - channels.mean(axis=0), loads - loads.mean(axis=0)
-    noise_share = np.zeros(channels.shape)
-    complex_parts = channels.astype(complex), loads.astype(complex)
-    return ResponseRows(run.name, run.kind, 0.0, (), np.zeros(rows), *complex_parts, index, index, noise_share)
+    return ResponseRows(
+        run=run.name,
+        kind=run.kind,
+        rotor_speed=0.0,
+        excited=(),
+        frequency=np.zeros(rows),
+        channels=channels.astype(complex),
+        loads=loads.astype(complex),
+        reference=index,
+        band=index,
+        noise_share=np.zeros(channels.shape),
+    )
 
 
 def _read(run: Run, channel_names: tuple[str, ...], start: int) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +42,8 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     """
     require_known_loads(run)
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
-    (old, *_), (new, noise, expected, set_up) = errors(run, before), errors(run, after)
-    return HoldOut(old, new, noise, set_up, expected)
+    new = errors(run, after)
+    return HoldOut(errors(run, before).error, new.error, new.noise, new.set_up, new.expected)
 
 
 def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -72,11 +73,18 @@ def require_known_loads(run: Run) -> None:
         raise UserError("has no `loads` to compare with", place, "loads", "Hold out a run whose loads were measured")
 
 
-def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, RunErrors | None, str | None]:
-    """Errors of a check run, their noise floor and what is expected, at the harmonics from 1 on; its set-up.
+@dataclass(frozen=True)
+class _ModelErrors:
+    """Errors of a run by a model, their noise floor, what is expected, and `set_up`, None where it is the sweeps'."""
 
-    They need no calibration. The set-up is None where it is that of the sweeps.
-    """
+    error: RunErrors
+    noise: RunErrors
+    expected: RunErrors | None = None
+    set_up: str | None = None
+
+
+def _check_run_errors(run: Run, model: IdentifiedModel) -> _ModelErrors:
+    """Errors of a check run at the harmonics from 1 on. They need no calibration."""
     source, geometry = model_source(model), model.geometry
     record = rotor_record(run, geometry, source)
     matrices, set_up = _choose_load_matrices(record, model)
@@ -86,7 +94,7 @@ def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     error = RunErrors(loads.load_error, loads.interaction, frf_error)
     noise = RunErrors(loads.load_noise, loads.interaction_noise, frf_noise)
     expected = RunErrors(_expected_load_errors(loads, solution, record.components), {}, frf_expected)
-    return error, noise, expected, set_up
+    return _ModelErrors(error, noise, expected, set_up)
 
 
 def _expected_load_errors(loads: CheckErrors, solution: SolvedLoads, components: tuple[str, ...]) -> dict[str, float]:
@@ -154,7 +162,7 @@ def _harmonic_errors(
     return float(error / size), float(noise / size), float(np.hypot(noise, response_error) / size)
 
 
-def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors, None, None]:
+def _sweep_run_errors(run: Run, model: IdentifiedModel) -> _ModelErrors:
     """Relative error of the response of a sweep, as in the quality of a fit, and its noise floor.
 
     The contribution of nonlinear forces is removed from the record first. In a record that does not repeat it would
@@ -164,8 +172,8 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     try:
         run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     except np.linalg.LinAlgError:
-        return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0), None, None
+        return _ModelErrors(RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0))
     spectra = measured_spectra([run], model.geometry, means=False).in_band(model.band)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]
-    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor), None, None
+    return _ModelErrors(RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor))

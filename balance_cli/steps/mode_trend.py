@@ -96,11 +96,21 @@ def _mode_trend(
     departure = frequency / predicted - 1.0
     mean, sigma_mean = _weighted_mean(departure, sigma / predicted)
     trend = rank_trend(departure, place, attribute)
-    runs, nan = int(np.count_nonzero(np.isfinite(departure))), float("nan")
-    course = (nan, nan, nan, nan) if trend is None else (trend.first, trend.last, trend.change, trend.tau)
-    p_values = (nan, nan) if trend is None else (trend.p_value, trend.p_value_given)
-    corrected = (p if np.isnan(p) else min(1.0, count * p) for p in p_values)
-    return ModeTrend(k + 1, float(np.mean(predicted)), runs, mean, sigma_mean, *course, *corrected)
+    p_values = (np.nan, np.nan) if trend is None else (trend.p_value, trend.p_value_given)
+    corrected = [p if np.isnan(p) else min(1.0, count * p) for p in p_values]
+    return ModeTrend(
+        mode=k + 1,
+        frequency_hz=float(np.mean(predicted)),
+        runs=int(np.count_nonzero(np.isfinite(departure))),
+        departure=mean,
+        sigma_departure=sigma_mean,
+        first=np.nan if trend is None else trend.first,
+        last=np.nan if trend is None else trend.last,
+        change=np.nan if trend is None else trend.change,
+        tau=np.nan if trend is None else trend.tau,
+        bonferroni_p_value=corrected[0],
+        bonferroni_p_value_given=corrected[1],
+    )
 
 
 def _weighted_mean(values: Array, sigma: Array) -> tuple[float, float]:

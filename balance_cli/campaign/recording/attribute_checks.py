@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE
 from balance_cli.campaign.recording.run_schema import as_list, stated_period
@@ -33,22 +33,22 @@ def kind_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
     if not is_positive(rate):
         yield _attribute_fault("sample_rate", rate, f"a number above 0 [Hz], at most {LARGEST_MAGNITUDE:g}")
     if not _is_rotor_speed(speed, rate):
-        hint = "; 1/min divided by 60" if _is_number(speed) and _is_rotor_speed(speed / RPM_PER_HERTZ, rate) else ""  # type: ignore[operator]
+        hint = "; 1/min divided by 60" if _is_number(speed) and _is_rotor_speed(speed / RPM_PER_HERTZ, rate) else ""
         yield _attribute_fault("rotor_speed", speed, f"a number from 0 to half the sample rate [Hz]{hint}")
     if attributes["kind"] == "sweep":
         yield from _sweep_faults(attributes)
 
 
-def is_positive(value: object) -> bool:
+def is_positive(value: object) -> TypeGuard[float]:
     """Whether an attribute is a positive number of a plausible magnitude."""
-    return _is_number(value) and 1.0 / LARGEST_MAGNITUDE <= value <= LARGEST_MAGNITUDE  # type: ignore[operator]
+    return _is_number(value) and 1.0 / LARGEST_MAGNITUDE <= value <= LARGEST_MAGNITUDE
 
 
 def _is_rotor_speed(speed: object, rate: object) -> bool:
     """Whether the speed is zero, or a speed at which a revolution holds more than two samples."""
     if _is_number(speed) and speed == 0:
         return True
-    return is_positive(speed) and (not is_positive(rate) or speed < rate / 2.0)  # type: ignore[operator]
+    return is_positive(speed) and (not is_positive(rate) or speed < rate / 2.0)
 
 
 def _sweep_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
@@ -67,10 +67,10 @@ def _sweep_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
 
 def _is_period(period: object, rate: object) -> bool:
     """Whether the period holds enough samples at this sample rate."""
-    return is_positive(period) and (not is_positive(rate) or period * rate >= FEWEST_PERIOD_SAMPLES)  # type: ignore[operator]
+    return is_positive(period) and (not is_positive(rate) or period * rate >= FEWEST_PERIOD_SAMPLES)
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 

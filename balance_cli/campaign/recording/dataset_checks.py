@@ -182,7 +182,7 @@ def _pulse_time_faults(pulses: Array, contents: RunFileContents, required: bool)
         return
     rate, channels = contents.attributes.get("sample_rate"), contents.channels
     if required and channels is not None and channels.shape and is_positive(rate):
-        inside = pulses[(pulses >= 0) & (pulses <= channels.shape[0] / rate)]  # type: ignore[operator]
+        inside = pulses[(pulses >= 0) & (pulses <= channels.shape[0] / rate)]
         if len(inside) < 2:
             fault = "no whole revolution lies within the record"
             yield UserError(fault, place=PULSE_DATASET, remedy="Give times in s from the first sample")

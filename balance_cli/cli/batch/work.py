@@ -91,8 +91,18 @@ def reduce_file(item: Item) -> RunResult:
         loads = reduction.reduce_run(run, item.history) if run.kind in ROTOR_KINDS else None
     except UserError as error:
         fault = error.with_file_of(run.name, str(item.path))
-    gaps = gap_summary(run), describe_gaps(run)
-    return RunResult(run.name, run.kind, run.digest, *gaps, loads, rows, run.level, fault, noise)
+    return RunResult(
+        name=run.name,
+        kind=run.kind,
+        digest=run.digest,
+        gaps=gap_summary(run),
+        gap_text=describe_gaps(run),
+        loads=loads,
+        rows=rows,
+        level=run.level,
+        error=fault,
+        noise=noise,
+    )
 
 
 def pickle_reduction(reduction: Reduction) -> bytes:

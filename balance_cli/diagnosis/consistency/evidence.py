@@ -130,9 +130,20 @@ def gather_evidence(rows: Sequence[ResponseRows], geometry: Geometry, system: Sy
         computed = computed_forces(system, run.frequency[low], run.rotor_speed) / scale[:, None]
         parts, part_channels = computed_parts(system, run.frequency[low], run.rotor_speed)
         parts = parts / scale[part_channels, None]
-        nothing = np.full((*forces.shape, 6), np.nan, complex)
-        shown = (forces, run.loads, gains, low, computed, parts, part_channels, nothing)
-        runs.append(Evidence(run, *shown, pairs, error))
+        evidence = Evidence(
+            rows=run,
+            forces=forces,
+            loads=run.loads,
+            gains=gains,
+            low=low,
+            computed=computed,
+            computed_parts=parts,
+            part_channels=part_channels,
+            reference=np.full((*forces.shape, 6), np.nan, complex),
+            pairs=pairs,
+            geometry_error=error,
+        )
+        runs.append(evidence)
     return with_references(runs)
 
 

@@ -41,7 +41,11 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         for axis, at in zip("xyz", geometry.hub, strict=True)
     )
     damping = EffectParameter(
-        *("damping_share", "1", 0.0, 1.0, "How far the plate's damping follows the mass; at 1 its ratios stay."),
+        name="damping_share",
+        unit="1",
+        null=0.0,
+        scale=1.0,
+        description="How far the plate's damping follows the mass; at 1 its ratios stay.",
         nuisance=True,
         held=True,
     )

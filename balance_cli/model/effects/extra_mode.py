@@ -62,7 +62,11 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     middle = rig_frequency(geometry)
     frequency = EffectParameter(
-        *("frequency", "Hz", 1.5 * middle, SMALL_SHIFT * middle, "Eigenfrequency of the mode."),
+        name="frequency",
+        unit="Hz",
+        null=1.5 * middle,
+        scale=SMALL_SHIFT * middle,
+        description="Eigenfrequency of the mode.",
         lower=SMALL_SHIFT * middle,
         nuisance=True,
     )

@@ -29,6 +29,7 @@ from balance_cli.signals.rotor.harmonic_noise import (
 from balance_cli.signals.rotor.joint_regression import JointRegression, complex_amplitudes, harmonic_products
 from balance_cli.signals.rotor.line_sums import LineSums, trigonometric_basis
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
+from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -156,8 +157,7 @@ def estimate_harmonics(
     covariance = covariance + azimuth_error_covariance(amplitude, azimuth, weighted_revolutions)
 
     def error_amplitudes(index: NDArray[np.int64], errors: Array) -> ComplexArray:
-        assert run.sample_rate is not None
-        time = np.clip(index / run.sample_rate, azimuth.first, azimuth.last)
+        time = np.clip(index / sample_rate(run), azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
         moment = trigonometric_basis(psi, fitted_count, other.basis(time)) @ (errors * weight).T
@@ -166,8 +166,9 @@ def estimate_harmonics(
     span = sample_span(run, start, end)
     covariance = covariance + bridging_covariance(run, names, span, error_amplitudes)
     frequency = np.arange(n + 1) * (last - first_revolution) / (end - start)
-    estimate = (frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples, noise_lines)
-    return Harmonics(run.name, names, *estimate)
+    return Harmonics(
+        run.name, names, frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples, noise_lines
+    )
 
 
 def _signal_names(run: Run) -> tuple[str, ...]:
@@ -182,11 +183,10 @@ def _check_interval(run: Run, azimuth: Azimuth, first: int, last: int) -> None:
 
 def count_regressed_harmonics(run: Run, azimuth: Azimuth, n: int, interval: tuple[float, float]) -> int:
     """Return the highest harmonic in the regression for harmonics 0 to `n`; UserError where the rate is too low."""
-    assert run.sample_rate is not None
     fastest = float(np.max(azimuth.speed(np.linspace(*interval, 2048))))
-    possible = int(BELOW_NYQUIST * run.sample_rate / 2 / fastest)
+    possible = int(BELOW_NYQUIST * sample_rate(run) / 2 / fastest)
     if possible < n:
-        fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate of {run.sample_rate:g} Hz"
+        fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate of {sample_rate(run):g} Hz"
         remedy = f"Request at most {plural(possible, 'harmonic')}" if possible else "Record at a higher rate"
         raise UserError(fault, run.file, "sample_rate", remedy)
     return min(possible, max(FITTED_HARMONICS, n + 4))
@@ -195,15 +195,14 @@ def count_regressed_harmonics(run: Run, azimuth: Azimuth, n: int, interval: tupl
 def _weighted_blocks(
     run: Run, azimuth: Azimuth, names: tuple[str, ...], revolutions: tuple[int, int], other: OtherLines, block: int
 ) -> Iterator[_AzimuthBlock]:
-    assert run.sample_rate is not None
     first, last = revolutions
     start, end = azimuth.time_of(np.array(revolutions))
     begin, stop = sample_span(run, start, end)
     for low in range(begin, stop, block):
         high = min(low + block, stop)
         signals = read_signals(run, names, low, high)
-        psi, speed = azimuth.of_samples(run.sample_rate, low, high)
-        time = np.clip(np.arange(low, high) / run.sample_rate, azimuth.first, azimuth.last)
+        psi, speed = azimuth.of_samples(sample_rate(run), low, high)
+        time = np.clip(np.arange(low, high) / sample_rate(run), azimuth.first, azimuth.last)
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
         weight = edge_weight(revolution, first, last)
@@ -213,8 +212,7 @@ def _weighted_blocks(
 
 def sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
     """Return the first sample and the end of an interval [s]."""
-    assert run.sample_rate is not None
-    return int(np.ceil(start * run.sample_rate)), min(int(np.floor(end * run.sample_rate)) + 1, run.samples)
+    return int(np.ceil(start * sample_rate(run))), min(int(np.floor(end * sample_rate(run))) + 1, run.samples)
 
 
 def read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
