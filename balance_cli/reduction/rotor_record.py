@@ -169,8 +169,8 @@ def _corrected(azimuth: Azimuth, pattern: PulsePattern) -> Azimuth:
 
 def _ordered(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> OrderedRecord:
     """Return the record without what its harmonics change with the speed, as far as that is known."""
-    even = at_constant_speed(record, geometry, source) or record
-    return OrderedRecord(even.run, even.azimuth, even.spectra)
+    demodulated = at_constant_speed(record, geometry, source) or record
+    return OrderedRecord(demodulated.run, demodulated.azimuth, demodulated.spectra)
 
 
 def _record(
@@ -196,10 +196,10 @@ def _record(
         return RotorRecord(run, health, azimuth, harmonics(run, lines), carried_components(geometry), recorded=recorded)
     spectra = harmonics(run, other)
     for _ in range(MOST_MODULATION_PASSES):
-        even = without_speed_modulation(run, azimuth, spectra, geometry, source, health.live)
-        if even is None:
+        demodulated = without_speed_modulation(run, azimuth, spectra, geometry, source, health.live)
+        if demodulated is None:
             break
-        before, spectra = spectra.amplitude[1:], harmonics(even, lines)
+        before, spectra = spectra.amplitude[1:], harmonics(demodulated, lines)
         if np.linalg.norm(spectra.amplitude[1:] - before) < LARGEST_RESPONSE_CHANGE * np.linalg.norm(before):
             break
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry), recorded=recorded)
@@ -241,5 +241,7 @@ def at_constant_speed(record: RotorRecord, geometry: Geometry, source: ResponseS
     first, n = record.spectra.revolutions[0], len(record.spectra.frequency_hz) - 1
     if record.fixed_frequency or response_is_constant(record.run, record.azimuth, first, n, source):
         return record
-    even = without_speed_modulation(record.run, record.azimuth, record.spectra, geometry, source, record.health.live)
-    return None if even is None else replace(record, run=even)
+    demodulated = without_speed_modulation(
+        record.run, record.azimuth, record.spectra, geometry, source, record.health.live
+    )
+    return None if demodulated is None else replace(record, run=demodulated)

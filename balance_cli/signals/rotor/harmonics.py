@@ -12,9 +12,8 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
+from balance_cli.signals.rotor.amplitude_errors import azimuth_error_covariance, bridging_covariance
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
-from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.edge_weight import edge_weight
 from balance_cli.signals.rotor.harmonic_noise import (
     AROUND,
