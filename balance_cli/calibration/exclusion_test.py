@@ -123,7 +123,7 @@ class _Gain:
         self.variance = np.maximum(variance, np.maximum(rounding, np.finfo(float).tiny))
 
     def p_values(self, rows: Mask, variance: Array, dof: Array) -> Array:
-        """P-value (c,) of the mean shift of some rows (m,) among errors of a variance (c,) with so many `dof`."""
+        """P-value (c,) of the mean shift of some rows (m,) among errors of a variance (c,) with `dof` (c,)."""
         with_rows = replace(self.included, weight=np.where(rows, self.points.weight, self.included.weight))
         before = _square_sums(with_rows, refit_terms(with_rows, self.fit.model), with_rows.weight > 0)
         gain = np.maximum(before - _square_sums(self.included, self.fit, self.included.weight > 0), 0.0)

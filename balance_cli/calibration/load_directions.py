@@ -130,7 +130,7 @@ def _directions(points: CalibrationPoints, used: Mask) -> list[_Direction]:
 def _responses(
     points: CalibrationPoints, used: Mask, series: NDArray[np.intp], masks: list[tuple[int, Mask]]
 ) -> list[_Direction] | None:
-    """Responses that the rows tell of directions (load and rows); None where they are too few for so many."""
+    """Responses that the rows tell of directions (load and rows); None where there are too few rows."""
     covered = np.zeros_like(points.x, bool)
     for j, rows in masks:
         covered[rows, j] = True

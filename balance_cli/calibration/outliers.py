@@ -231,7 +231,7 @@ def _prediction_ratio(points: CalibrationPoints, fit: CalibrationModelFit, rows:
 
 
 def _outlying_rows(points: CalibrationPoints, fit: CalibrationModelFit, most: int) -> tuple[Mask, bool]:
-    """Rows (m,) that the others do not predict, at most so many, and whether more remain.
+    """Rows (m,) that the others do not predict, at most `most` of them, and whether more remain.
 
     A degree of freedom remains, too: without any the others agree with each other whatever they are.
     """

@@ -55,7 +55,7 @@ def plan_file_text(planned: PlannedCampaign) -> str:
 
 
 def _rounded(value: Any) -> Any:
-    """A JSON value with so many digits of its numbers as a forecast deserves."""
+    """A JSON value with as many digits in its numbers as a forecast deserves."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list):

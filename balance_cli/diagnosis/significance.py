@@ -23,7 +23,7 @@ KNOWN_NOISE_DOF = 1e12
 
 
 def gain_p_value(gain: float, parameters: int, noise_dof: float = np.inf) -> float:
-    """Return the p-value of a decrease of chi-square by `gain` for one candidate with so many parameters.
+    """Return the p-value of a decrease of chi-square by `gain` for one candidate with this number of parameters.
 
     With a noise known to `noise_dof` degrees of freedom, gain / parameters has an F distribution.
     """
@@ -111,7 +111,7 @@ def is_invertible(dof: float, signals: int) -> bool:
 
 
 def combined_dof(shares: Sequence[float], dof: Sequence[float]) -> float:
-    """Return the degrees of freedom of a sum of covariances of so many `dof`, from the share of each in the sum."""
+    """Return the degrees of freedom of a sum of covariances, from the `dof` of each and its share in the sum."""
     inverse = sum(share**2 / max(d, 1.0) for share, d in zip(shares, dof, strict=True))
     return 1.0 / inverse if inverse > 0 else np.inf
 

@@ -68,7 +68,7 @@ def _invert_covariance(covariance: ComplexArray, dof: float, size: int) -> Compl
 
 
 def _is_well_known(dof: float, size: int) -> bool:
-    """Whether a covariance of so many signals is known well enough to be inverted."""
+    """Whether a covariance of this number of signals is known well enough to be inverted."""
     return dof > MIN_DOF_PER_SIGNAL * size
 
 

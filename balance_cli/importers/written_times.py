@@ -83,7 +83,7 @@ def _has_digits(times: Array, digits: int) -> bool:
 
 
 def _last_digit(times: Array, digits: int) -> Array:
-    """Value of one in the last of so many significant digits of each time; a time of 0 is exact."""
+    """Value of one in the last significant digit of each time, for this number of digits; a time of 0 is exact."""
     size = np.abs(times)
     exponent = np.floor(np.log10(np.where(size > 0.0, size, 1.0)) + 1e-9)
     return np.asarray(np.where(size > 0.0, 10.0 ** (exponent - digits + 1), 1e-12))

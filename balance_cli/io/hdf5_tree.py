@@ -241,7 +241,7 @@ def _read_group(group: h5py.Group, ancestors: dict[Any, str], size: list[int]) -
 
 
 def require_stored_values(dataset: h5py.Dataset) -> int:
-    """Return the bytes that a dataset declares. Raises ValueError where what is stored cannot be so many."""
+    """Return the bytes that a dataset declares. Raises ValueError where the file is too small to hold them."""
     declared, stored = dataset.nbytes if dataset.shape is not None else 0, dataset.id.get_storage_size()
     if declared > LARGEST_DEFLATION * (stored + COMPRESSION_THRESHOLD):
         raise ValueError(f"{dataset.name} declares {declared} bytes, of which {stored} are stored")

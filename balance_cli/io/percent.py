@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def percent_text(ratio: float, digits: int = 2) -> str:
-    """Return a ratio in percent with so many significant digits, without an exponent below a million.
+    """Return a ratio in percent with the given number of significant digits, without an exponent below a million.
 
     >>> percent_text(1.12), percent_text(0.01234), percent_text(13.02, 3)
     ('110', '1.2', '1300')

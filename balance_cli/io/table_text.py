@@ -77,7 +77,7 @@ class TextTable:
     def numbers(
         self, column: int, allow_missing: bool = False, allow_empty: bool = False, ratio: float = FILLER_RATIO
     ) -> Array:
-        """The numbers (n,) of a column; raises UserError, with line and column, for a cell that is none.
+        """The numbers (n,) of a column; raises UserError, with line and column, for a cell that is not a number.
 
         With `allow_missing` they are NaN where a word (`NA`, `-`) or a number such as -9999, more than `ratio` times
         all others, stands for no value, and with `allow_empty` where the cell is empty.

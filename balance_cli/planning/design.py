@@ -109,7 +109,7 @@ def effect_worth(diagonal: Array, model: ExtendedModel) -> float:
 
 
 def choose_runs(problem: Problem, minutes: float, deadline: Deadline) -> Design:
-    """The runs that teach most in so many minutes; none where none fits. After the deadline none is exchanged."""
+    """The most informative runs within `minutes`; none where none fits. After the deadline none is exchanged."""
     selection = _add_greedily(problem, minutes)
     for _ in range(MOST_PASSES):
         if deadline.is_over:

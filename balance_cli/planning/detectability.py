@@ -174,7 +174,7 @@ def project_rows(known: InformationRows, model: ExtendedModel) -> ProjectedRows:
 
 
 def gain_threshold(parameters: int, count: int, level: float, noise_dof: float) -> float:
-    """The gain that one candidate of `count` must exceed, with so many parameters (Bonferroni)."""
+    """The gain that one candidate of `count` must exceed, with this number of parameters (Bonferroni)."""
     alone = level / max(count, 1)
     if noise_dof > 0 and np.isfinite(noise_dof):
         return float(parameters * f.isf(alone, parameters, noise_dof))

@@ -288,7 +288,7 @@ def _whole_samples(period: float, sample_rate: float) -> float:
 
 
 def check_names(hall: Hall, geometry: Geometry) -> None:
-    """Raise UserError where a hall names an effect that is none, or a channel that the geometry lacks."""
+    """Raise UserError where a hall names an unknown effect, or a channel that the geometry lacks."""
     known = effect_names()
     for name in hall.effects or ():
         if name not in known:

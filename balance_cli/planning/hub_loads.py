@@ -50,7 +50,7 @@ class LoadForecast:
 def load_forecast(
     model: ExtendedModel, noise: ChannelNoise, reference: Mapping[str, float], sample_rate: float, seconds: float
 ) -> LoadForecast | None:
-    """Prepare the forecast for a record of so many seconds; None without a rotor or with too few channels."""
+    """Prepare the forecast for a record of the given length [s]; None without a rotor or with too few channels."""
     geometry = model.model.geometry
     if geometry.rotor is None:
         return None

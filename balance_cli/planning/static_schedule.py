@@ -90,7 +90,7 @@ def schedule_terms(count: int, term_set: TermSet) -> tuple[Term, ...]:
 def plan_static_schedule(
     components: Sequence[str], largest: Sequence[float], points: int, term_set: TermSet, together: int
 ) -> StaticSchedule:
-    """Choose so many load points, each with at most `together` loads.
+    """Choose the given number of load points, each with at most `together` loads.
 
     Raises UserError where the points are fewer than the coefficients, or too many.
     """
@@ -114,7 +114,7 @@ def plan_static_schedule(
 
 
 def candidate_points(count: int, together: int, steps: Sequence[float]) -> Array:
-    """All points (n, count) with at most so many loads at the levels, the unloaded one included."""
+    """All points (n, count) with at most `together` loads at the levels, the unloaded one included."""
     rows = [np.zeros(count)]
     for size in range(1, together + 1):
         for places in itertools.combinations(range(count), size):

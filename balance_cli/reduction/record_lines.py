@@ -23,7 +23,7 @@ MODE_REACH = np.linspace(-1.0, 1.0, 5)
 def lines_of_record(
     record: RotorRecord, source: ResponseSource, over_time: RecordSpectrum | None = None
 ) -> tuple[UnmodelledLine, ...]:
-    """Return the lines beside the harmonics; none at named frequencies: who names them knows that there are others.
+    """Return the lines beside the harmonics; none at named frequencies, whose user knows that there are others.
 
     `over_time` is the spectrum for tones that do not turn with the rotor, by default that of the record.
     """

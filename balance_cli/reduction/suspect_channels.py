@@ -168,7 +168,7 @@ class _Residuals:
 
 
 def _residuals(problem: LoadProblem, samples: int, response_error: Array | None = None) -> _Residuals:
-    """Return those by the noise of the channels in so many samples, of which gusts are no part, and by the response.
+    """Return the residuals by the noise of the channels, without gusts, and by the response.
 
     `response_error` (h, 2r, 2r) is its covariance, by default that for the loads of these readings.
     """

@@ -195,7 +195,7 @@ def _suspect_series_warning(suspect: SuspectLoadSeries) -> str:
 
 
 def _reading_text(value: float, unit: str | None) -> str:
-    """A reading in microvolt, or in the unit in which it is short where it is no voltage."""
+    """A reading in microvolt, or in the unit in which it is short where it is not a voltage."""
     return f"{format_significant(1e6 * value)} {MICROVOLTS.symbol}" if unit is None else short_reading(value, unit)
 
 

@@ -118,13 +118,13 @@ def _no_window_error(seconds: float) -> UserError:
 
 
 def _median_of_mean(averages: float) -> float:
-    """Return the median of the mean of so many exponential variables of mean one."""
+    """Return the median of the mean of `averages` exponential variables of mean one."""
     from scipy.special import gammaincinv
 
     return float(gammaincinv(averages, 0.5) / averages)
 
 
 def blackman_harris(length: int) -> Array:
-    """Return the periodic Blackman-Harris window of so many samples."""
+    """Return the periodic Blackman-Harris window of `length` samples."""
     angle = 2.0 * np.pi / length * np.arange(length)
     return np.asarray(np.cos(np.multiply.outer(angle, np.arange(4))) @ np.array(BLACKMAN_HARRIS))

@@ -126,7 +126,7 @@ class binom:  # noqa: N801
 
 
 def student_widening(dof: Numbers) -> Array:
-    """Return the factor on variances estimated with so many degrees of freedom by which 1.96 sigma cover 95 %.
+    """Return the factor on variances estimated with `dof` degrees of freedom by which 1.96 sigma cover 95 %.
 
     The ratio of the 97.5 % points of Student's t and of the normal distribution, squared; 1 where dof is not known.
     """

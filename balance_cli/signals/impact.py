@@ -107,7 +107,7 @@ class HammerRecord:
 
 
 def hammer_record(run: Run) -> HammerRecord | None:
-    """The part of a hammer record with the most taps of which none bounced; None where a run is no such record.
+    """The part of a hammer record with the most taps of which none bounced; None where a run is not such a record.
 
     Raises UserError where every tap bounced.
     """
@@ -251,7 +251,7 @@ def has_hit(load: Array) -> bool:
 
 
 def find_hits(load: Array, rate: float) -> Hits:
-    """Find the hits in a load (n,) that was sampled at `rate` [Hz]; the ringing of a filter beside a hit is none."""
+    """Find the hits in a load (n,) sampled at `rate` [Hz]; the ringing of a filter beside a hit does not count."""
     force = load - np.median(load)
     size = np.abs(force)
     above = np.concatenate([[False], size > HIT_SHARE * float(size.max(initial=0.0)), [False]])

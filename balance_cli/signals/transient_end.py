@@ -151,13 +151,13 @@ def _difference_energy(x: Array) -> Array:
 
 
 def _average_energy(energy: Array) -> Array:
-    """Return the mean over `SMOOTHING_REVOLUTIONS` from each revolution on, where so many follow."""
+    """Return the mean over `SMOOTHING_REVOLUTIONS` from each revolution on, where as many follow."""
     window = np.lib.stride_tricks.sliding_window_view(energy, min(SMOOTHING_REVOLUTIONS, len(energy)), axis=0)
     return np.asarray(window.mean(axis=-1))
 
 
 def _largest_excess(late: Array, points: int) -> Array:
-    """Return the factor (c,) on the steady energy that the mean of so many revolutions exceeds with FALSE_ALARM.
+    """Return the factor (c,) on the steady energy that a mean over revolutions exceeds with probability FALSE_ALARM.
 
     Noise that is white within a revolution has as many degrees of freedom as points; the motion of a light mode, and
     gusts slower than a revolution, have few. The variance of a mean of `late` (r, c) energies tells them, by its

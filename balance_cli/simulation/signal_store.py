@@ -37,7 +37,7 @@ class _Signals:
 
 @dataclass(frozen=True)
 class SignalStore:
-    """The signals of a `rig`, simulated for at least so many periods (`longest`) at first."""
+    """The signals of a `rig`, simulated for at least `longest` periods at first."""
 
     rig: TrueRig
     longest: int = 1

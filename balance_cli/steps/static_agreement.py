@@ -269,7 +269,7 @@ def _factors(comparison: StaticComparison, differing: Mask, lines: Mask) -> dict
 
 
 def _load_cause(components: tuple[str, ...], by_load: dict[int, float]) -> str:
-    """Return what explains that the readings for these loads are so many times as large as the response has them."""
+    """Return what explains that the readings for these loads are this factor larger than the response says."""
     common = _common_factor(np.array(list(by_load.values())))
     if common is None:
         return "; ".join(_load_cause(components, {j: factor}) for j, factor in by_load.items())

@@ -160,7 +160,7 @@ def _differences(x: Array) -> Array:
 
 
 def _excess_zeros(values: Array, peak: float) -> Integers:
-    """Return the values (n,) that are exactly zero where chance does not make so many, else none.
+    """Return the values (n,) that are exactly zero, if there are more than chance makes; else none.
 
     Neighboring values of single precision, of a signal that reaches `peak`, count as one.
     """
@@ -185,7 +185,7 @@ def _excess_zeros(values: Array, peak: float) -> Integers:
 
 
 def _smallest(sizes: Array, count: int) -> Array:
-    """Return about `count` of the smallest sizes: every so many tell where they end, because a sort takes long."""
+    """Return about `count` of the smallest sizes. A subsample shows where they end, because a sort takes long."""
     few = np.sort(sizes[:: max(1, len(sizes) // SAMPLED)])
     return np.asarray(sizes[sizes <= few[min(int(count / len(sizes) * len(few)) + 1, len(few) - 1)]])
 

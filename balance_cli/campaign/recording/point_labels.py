@@ -47,7 +47,7 @@ def label_texts(values: Any) -> tuple[str, ...] | None:
 
 
 def label_faults(kind: object, name: str, dataset: LabelDataset | None, rows: int) -> Iterator[UserError]:
-    """Yield the faults of the dataset `series` or `point` of a run of this kind with so many rows."""
+    """Yield the faults of the dataset `series` or `point` of a run of this kind, by its number of rows."""
     if dataset is None:
         return
     if kind != "static":

@@ -31,5 +31,5 @@ def channel_groups(geometry: Geometry) -> dict[str, tuple[str, ...]]:
 
 
 def expand_group(where: tuple[str, ...], geometry: Geometry) -> tuple[str, ...]:
-    """Return the channels of the group at a place; the place itself where it is none, or means `all`."""
+    """Return the channels of the group at a place; the place itself where it is not a group, or means `all`."""
     return where if len(where) != 1 or where[0] == ALL else channel_groups(geometry).get(where[0], where)

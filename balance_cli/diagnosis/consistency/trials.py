@@ -202,7 +202,7 @@ class _Energies:
 
     @property
     def by_predictions(self) -> float:
-        """What the runs gain by all but pairs, which tell that two channels differ and not which of them is wrong."""
+        """What the runs gain without pairs, which show that two channels differ but not which of them is wrong."""
         return float((self.before - self.after)[:, : 2 * self.channels].sum())
 
     def pass_test(self, hypothesis: Hypothesis) -> bool:

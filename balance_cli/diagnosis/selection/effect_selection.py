@@ -193,7 +193,7 @@ def _next_smaller_place(
 
 
 def _is_negligible(loss: float, parameters: int, settings: SearchSettings) -> bool:
-    """Whether chance makes a loss of chi-square by so many parameters; one place is one test."""
+    """Whether chance explains a loss of chi-square with this number of parameters; one place is one test."""
     return bonferroni_p_value(loss, max(parameters, 1), 1) > settings.selection.negligible_p_value
 
 

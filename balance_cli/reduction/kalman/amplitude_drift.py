@@ -111,7 +111,7 @@ def fit_window_amplitudes(
 
 
 def _windows(clean_record: CleanRecord, azimuth: Azimuth, turns: int) -> list[tuple[int, int]]:
-    """Return first sample and end of each window of so many revolutions that lies in a clean span."""
+    """Return first sample and end of each window of `turns` revolutions that lies in a clean span."""
     edges = azimuth.time_of(np.arange(0, azimuth.turns + 1, turns)) / clean_record.step
     pairs = [(int(np.ceil(a)), int(np.ceil(b))) for a, b in pairwise(edges)]
     return [(a, b) for a, b in pairs if any(start <= a and b <= stop for start, stop in clean_record.spans)]

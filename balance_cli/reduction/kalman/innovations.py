@@ -51,7 +51,7 @@ class InnovationTests:
 
     @property
     def rms_autocorrelation(self) -> float:
-        """Root-mean-square autocorrelation, without that of white innovations in so many samples."""
+        """Root-mean-square autocorrelation, without that of white innovations in as many samples."""
         return float(np.sqrt(max(self.whiteness - 1.0, 0.0) / self.samples))
 
     @property
@@ -84,7 +84,7 @@ class InnovationTests:
 
 @dataclass
 class InnovationSums:
-    """Sums over blocks of innovations (n, c) of so many channels."""
+    """Sums over blocks of innovations (n, c) of c `channels`."""
 
     channels: int
     samples: int = 0

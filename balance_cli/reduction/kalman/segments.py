@@ -175,7 +175,7 @@ def propagate_excess(channel_filter: ChannelFilter, excess_covariance: Array, se
 
 
 def segment_information(channel_filter: ChannelFilter, segment: Segment, samples: int) -> Array:
-    """Return the information (N, N) of so many samples of a segment about the state at its start."""
+    """Return the information (N, N) of the first `samples` of a segment about the state at its start."""
     information = np.zeros_like(channel_filter.at(segment.start).L)
     shift: Array = np.eye(len(information))
     for first, count in channel_filter.quasi_steady_parts(segment.start, min(samples, segment.stop - segment.start)):

@@ -16,7 +16,7 @@ Integers = NDArray[np.int64]
 
 
 def azimuth_error_covariance(amplitude: ComplexArray, azimuth: Azimuth, revolutions: float) -> ComplexArray:
-    """Return the covariance (n+1, c, c) of harmonics (n+1, c) over so many revolutions by the scatter of the pulses.
+    """Return the covariance (n+1, c, c) of harmonics (n+1, c) over `revolutions`, by the scatter of the pulses.
 
     The mean error of the azimuth, that of all pulses alike included, turns harmonic k by k times as much; the error
     that varies within the interval reduces its amplitude by half the square. The variance is doubled because it is that

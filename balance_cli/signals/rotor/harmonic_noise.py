@@ -148,7 +148,7 @@ def _outlier_lines(power: Array) -> Flags:
 
 
 def _medians_of_first(power: Array, counts: Integers) -> Array:
-    """Return the medians (..., len(counts), c) of the first lines of `power` (..., k, c), so many for each."""
+    """Return the medians (..., len(counts), c) of the first lines of `power` (..., k, c), `counts` for each."""
     lines = np.swapaxes(power, -1, -2)[..., None, :]
     ordered = np.sort(np.where(np.arange(power.shape[-2]) < counts[:, None], lines, np.inf), axis=-1)
     low, high = (ordered[..., np.arange(len(counts)), middle] for middle in ((counts - 1) // 2, counts // 2))

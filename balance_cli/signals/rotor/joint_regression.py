@@ -64,7 +64,7 @@ class JointRegression:
 
     @cached_property
     def _others(self) -> tuple[Array, Array]:
-        """A^-1 C' (2 F + 1, e) and V (e, k) with V V' = S^-1 over the k directions that are told apart."""
+        """A^-1 C' (2 F + 1, e) and V (e, k) with V V' = S^-1 over the k directions that can be distinguished."""
         beside, among = np.split(self.border, [len(self.own)], axis=1)
         explained = np.linalg.solve(self.own, beside.T)
         size = 1.0 / np.sqrt(np.maximum(np.diag(among), np.finfo(float).tiny))

@@ -173,7 +173,7 @@ def sigma_if_steady(values: ComplexArray) -> Array:
 
 
 def critical_sum(count: int, parts: NDArray[np.int64] | int) -> Array:
-    """Return the limit of the cumulative sum, in units of a scatter that `count` windows of so many parts tell."""
+    """Return the limit of the cumulative sum, in units of the scatter that `count` windows of several `parts` have."""
     dof = np.asarray(DIFFERENCE_DOF * (count - 2) * parts, np.float64)
     return np.asarray(CRITICAL_SUM * stats.t.isf(FALSE_ALARM / 2.0, dof) / stats.norm.isf(FALSE_ALARM / 2.0))
 
