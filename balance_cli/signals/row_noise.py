@@ -13,6 +13,9 @@ Where Sigma would be known too poorly to be inverted it is diagonal, and the noi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +36,43 @@ INITIAL_LOAD_SHARE = 0.1
 """Share of the scatter of a row that the noise of a load reading has at the start of the iteration."""
 
 
+@dataclass(frozen=True)
+class _Differences:
+    """Differences B s (t, c) of rows, with `weights` (t,), and the `columns` (c, j) of C0 of the loads with a part.
+
+    `applied` (m, j) tells the rows in which each of these loads was applied.
+    """
+
+    B: Array
+    values: Array
+    weights: Array
+    columns: Array
+    applied: Array
+
+    @cached_property
+    def row_power(self) -> Array:
+        """The noise of the channels (t,) in each difference, over that of a row."""
+        return np.asarray((self.B**2).sum(axis=1))
+
+    @cached_property
+    def load_power(self) -> Array:
+        """The noise of the readings (t, j) of each load in each difference, over that of one reading."""
+        return np.asarray(self.B**2 @ self.applied)
+
+    def covariances(self, sigma: Array, variance: Array) -> Array:
+        """Covariance (t, c, c): noise of the channels, and that of the loads through their columns."""
+        loads = np.matmul(self.columns * (self.load_power * variance)[:, None, :], self.columns.T)
+        covariance: Array = self.row_power[:, None, None] * sigma + loads
+        own = np.arange(len(sigma))
+        covariance[:, own, own] *= 1.0 + OWN_VARIANCE_SHARE
+        return np.asarray(covariance, float)
+
+    def weighted_columns(self, sigma: Array, variance: Array) -> Array:
+        """The inverse covariances times the columns (t, c, j)."""
+        shape = (len(self.values), *self.columns.shape)
+        return np.asarray(np.linalg.solve(self.covariances(sigma, variance), np.broadcast_to(self.columns, shape)))
+
+
 def row_noise(
     channels: Array, loads: Array, B: Array, weights: Array, start: Array, dof: float
 ) -> tuple[NoisePart, ...]:
@@ -46,17 +86,15 @@ def row_noise(
     is_own = np.ptp(loads, axis=0) > 0.0 if is_diagonal else applied.mean(axis=0) < ALWAYS_APPLIED_SHARE
     with_part = np.flatnonzero((applied.mean(axis=0) > 0.0) & is_own)
     columns = _linear_sensitivities(channels, loads)[:, with_part]
-    power = B**2
-    H, row_power = power @ applied[:, with_part], power.sum(axis=1)
-    d = B @ channels
+    differences = _Differences(B, B @ channels, weights, columns, applied[:, with_part])
     variance = INITIAL_LOAD_SHARE / np.maximum(np.sum(columns * np.linalg.solve(start, columns), axis=0), 1e-300)
     pattern = np.eye(len(start)) if is_diagonal else np.ones_like(start)
     sigma = start * pattern
     for _ in range(EM_ITERATIONS):
-        scatter, variance = _em_step(sigma, variance, d, columns, H, row_power, weights)
+        scatter, variance = _em_step(differences, sigma, variance)
         sigma = scatter * pattern
     channel_part = NoisePart(sigma, np.ones(len(channels)), 1.0, float(np.sqrt(2.0 / dof)))
-    errors = _variance_errors(sigma, variance, columns, H, row_power, weights, B, applied[:, with_part])
+    errors = _variance_errors(differences, sigma, variance)
     return (
         channel_part,
         *(
@@ -74,15 +112,11 @@ def _linear_sensitivities(channels: Array, loads: Array) -> Array:
     return np.asarray((slopes / np.where(size > 0, size, 1.0)[:, None]).T)
 
 
-def _em_step(
-    sigma: Array, variance: Array, d: Array, columns: Array, H: Array, row_power: Array, weights: Array
-) -> tuple[Array, Array]:
+def _em_step(differences: _Differences, sigma: Array, variance: Array) -> tuple[Array, Array]:
     """One step: expected noise of the loads in each difference, and the variance components that follow from it."""
+    d, columns, weights, H = differences.values, differences.columns, differences.weights, differences.load_power
     load_variance = H * variance
-    covariance = _difference_covariances(sigma, load_variance, columns, row_power)
-    gain = load_variance[:, :, None] * np.linalg.solve(
-        covariance, np.broadcast_to(columns, (len(d), *columns.shape))
-    ).swapaxes(1, 2)
+    gain = load_variance[:, :, None] * differences.weighted_columns(sigma, variance).swapaxes(1, 2)
     mean = np.matmul(gain, d[:, :, None])[:, :, 0]
     spread = (
         np.einsum("tj,jk->tjk", load_variance, np.eye(len(variance)))
@@ -95,33 +129,21 @@ def _em_step(
     variance = np.sum(share * variance_in_differences, axis=0) / np.maximum(share.sum(axis=0), 1e-300)
     left = d - mean @ columns.T
     scatter = (left.T * weights) @ left + columns @ np.tensordot(weights, spread, 1) @ columns.T
-    return scatter / float(weights @ row_power), variance
+    return scatter / float(weights @ differences.row_power), variance
 
 
-def _difference_covariances(sigma: Array, load_variance: Array, columns: Array, row_power: Array) -> Array:
-    """Covariance (t, c, c) of each difference: noise of the channels, and that of the loads through their columns."""
-    covariance: Array = row_power[:, None, None] * sigma + np.matmul(columns * load_variance[:, None, :], columns.T)
-    own = np.arange(len(sigma))
-    covariance[:, own, own] *= 1.0 + OWN_VARIANCE_SHARE
-    return np.asarray(covariance, float)
-
-
-def _variance_errors(
-    sigma: Array, variance: Array, columns: Array, H: Array, row_power: Array, weights: Array, B: Array, applied: Array
-) -> Array:
+def _variance_errors(differences: _Differences, sigma: Array, variance: Array) -> Array:
     """Standard errors (j,) of the loads' variances, by their information.
 
     A difference counts by its share of the noise of the load, as in the estimate, and differences that share rows count
     as the `_independent_count` of them. The variance of a load that is in no difference has an error of
     UNKNOWN_VARIANCE_FACTOR times its estimate and one that would be visible beside the noise of the channels.
     """
-    covariance = _difference_covariances(sigma, H * variance, columns, row_power)
-    squared_gain = np.einsum(
-        "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
-    )
+    columns, weights, H = differences.columns, differences.weights, differences.load_power
+    squared_gain = np.einsum("cj,tcj->tj", columns, differences.weighted_columns(sigma, variance))
     weight = weights[:, None] * H
     root_information = np.sum(weight * H * squared_gain, axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
-    counts = np.array([_independent_count(weights, B * rows) for rows in applied.T])
+    counts = np.array([_independent_count(weights, differences.B * rows) for rows in differences.applied.T])
     information = 0.5 * counts * root_information**2
     own = sigma + np.diag(OWN_VARIANCE_SHARE * np.diagonal(sigma))
     visible = np.sum(columns * np.linalg.solve(own, columns), axis=0)
