@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,10 @@ class BlockZeros:
         order = np.argsort(place, kind="stable")
         starts = np.searchsorted(place[order], np.arange(len(names)))
         return cls(place, order, starts, np.asarray(np.bincount(place, weight), float), np.sqrt(weight))
+
+    def with_weight(self, weight: Array) -> BlockZeros:
+        """Return the zeros of the same blocks for other weights (m,) of the rows."""
+        return replace(self, total=np.asarray(np.bincount(self.place, weight), float), root=np.sqrt(weight))
 
     def sums(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
         """Product D' A (b, p) of weighted rows A (m, p), with D (m, b) the weighted columns of the zeros."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.block_zeros import subtract_block_means
+from balance_cli.calibration.block_zeros import BlockZeros
 from balance_cli.calibration.robust_scale import growth_without_load
 from balance_cli.signals import distributions as stats
 
@@ -95,13 +95,15 @@ def _standing_out(ratio: Array, block: Index, limit: float) -> Mask:
 
 def _robust_ratio(columns: Array, Y: Array, block: Index) -> tuple[Array, Array]:
     """Largest error of each row (m,) over the robust scale of its channel, and these scales (c,)."""
-    m, weight = len(Y), np.ones(len(Y))
+    m, weight, values = len(Y), np.ones(len(Y)), np.hstack([columns, Y])
+    zeros = BlockZeros.from_blocks(block, weight)
+    freedom = np.sqrt(m / _dof(columns, block))
+    least = SCALE_FLOOR * np.maximum(np.ptp(Y, axis=0), 1e-300)
     ratio, scale = np.zeros(Y.shape), np.zeros(Y.shape[1])
     for iteration in range(LAD_ITERATIONS + BIWEIGHT_ITERATIONS):
-        errors = _weighted_errors(columns, Y, block, weight)
-        scale = 1.4826 * np.median(np.abs(errors), axis=0) * np.sqrt(m / _dof(columns, block))
-        scale = np.maximum(scale, SCALE_FLOOR * np.maximum(np.ptp(Y, axis=0), 1e-300))
-        ratio = np.abs(errors) / scale
+        errors = np.abs(_weighted_errors(values, columns.shape[1], zeros.with_weight(weight)))
+        scale = np.maximum(1.4826 * _median(errors) * freedom, least)
+        ratio = errors / scale
         size = np.sqrt(np.mean(ratio**2, axis=1))
         if iteration < LAD_ITERATIONS:
             weight = 1.0 / np.maximum(size, 0.1)
@@ -109,6 +111,12 @@ def _robust_ratio(columns: Array, Y: Array, block: Index) -> tuple[Array, Array]
             # No row is without any weight: a load series needs its zero.
             weight = np.maximum(1.0 - (size / BIWEIGHT_LIMIT) ** 2, 0.0) ** 2 + 1e-6
     return np.asarray(np.max(ratio, axis=1)), scale
+
+
+def _median(values: Array) -> Array:
+    """Median (c,) of finite values (m, c): `np.median` takes longer than the fit of an iteration for so few rows."""
+    middle = np.sort(values, axis=0)[[(len(values) - 1) // 2, len(values) // 2]]
+    return np.asarray(np.mean(middle, axis=0))
 
 
 def _column_sets(x: Array, zeros: int) -> list[Array]:
@@ -123,10 +131,9 @@ def _dof(columns: Array, block: Index) -> int:
     return max(len(columns) - int(columns.shape[1]) - int(block.max()) - 1, 1)
 
 
-def _weighted_errors(columns: Array, Y: Array, block: Index, weight: Array) -> Array:
-    """Errors (m, c) of all rows by a weighted fit with a zero for each block (m,)."""
-    A, B = subtract_block_means(columns, block, weight), subtract_block_means(Y, block, weight)
-    coefficients = np.linalg.lstsq(A, B, rcond=1e-10)[0]
-    left = Y - columns @ coefficients
-    sums = np.stack([np.bincount(block, weight * channel) for channel in left.T], axis=1)
-    return np.asarray(left - (sums / np.bincount(block, weight)[:, None])[block])
+def _weighted_errors(values: Array, count: int, zeros: BlockZeros) -> Array:
+    """Errors (m, c) of a weighted fit with a zero for each block; `values` (m, k + c): columns, channels."""
+    weighted = zeros.subtract_means(values)
+    coefficients = np.linalg.lstsq(weighted[:, :count], weighted[:, count:], rcond=1e-10)[0]
+    left = values[:, count:] - values[:, :count] @ coefficients
+    return np.asarray(left - zeros.means(left * zeros.root[:, None])[zeros.place])

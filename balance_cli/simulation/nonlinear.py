@@ -7,9 +7,11 @@ multistep method; Hochbruck and Ostermann, Acta Numerica 19, 2010, section 2.6).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +28,27 @@ LOAD_SUBSTEPS = 8
 """Load steps between static points: the path decides which contacts slip."""
 
 
+MOST_SINGLE_RUNS = 6
+"""Runs up to which a force that is alone is computed by numbers: more take longer so than as an array."""
+
+
+class _Arithmetic(NamedTuple):
+    """The functions by which forces are computed, those of arrays or of numbers."""
+
+    minimum: Callable[..., Any]
+    maximum: Callable[..., Any]
+    exp: Callable[..., Any]
+
+
+_OF_ARRAYS, _OF_NUMBERS = _Arithmetic(np.minimum, np.maximum, np.exp), _Arithmetic(min, max, math.exp)
+
+
 @dataclass(frozen=True)
 class NonlinearForces:
-    """The coefficients (m,) of m nonlinear forces, each named as in `NonlinearCellForce`."""
+    """The coefficients (m,) of m nonlinear forces, each named as in `NonlinearCellForce`.
+
+    `arithmetic` belongs to these: a `single` force has numbers, and takes and returns numbers.
+    """
 
     k2: Array
     k3: Array
@@ -41,11 +61,19 @@ class NonlinearForces:
     gap: Array
     c2: Array
     damping_difference: Array
+    arithmetic: _Arithmetic = _OF_ARRAYS
 
     @classmethod
     def from_cell_forces(cls, forces: Sequence[NonlinearCellForce]) -> NonlinearForces:
         """The coefficients of all forces."""
-        return cls(*(np.array([getattr(force, item.name) for force in forces], float) for item in fields(cls)))
+        names = [item.name for item in fields(cls)[:-1]]
+        arrays: dict[str, Any] = {name: np.array([getattr(force, name) for force in forces], float) for name in names}
+        return cls(**arrays)
+
+    def single(self) -> NonlinearForces:
+        """The only force, with its coefficients as numbers, which Python multiplies in a tenth of the time."""
+        numbers: dict[str, Any] = {item.name: getattr(self, item.name).item() for item in fields(self)[:-1]}
+        return replace(self, **numbers, arithmetic=_OF_NUMBERS)
 
     # Asked in each step, and looked up once.
 
@@ -69,28 +97,45 @@ class NonlinearForces:
         """Whether the force of any contact depends on the rate."""
         return bool(np.any(self.fast_share != 1.0))
 
+    @cached_property
+    def contact_limits(self) -> tuple[Array, Array]:
+        """The least and the largest force of each contact at rest."""
+        return self.limit * (self.asymmetry - 1.0), self.limit * (self.asymmetry + 1.0)
+
+    @cached_property
+    def falling_share(self) -> tuple[Array, Array]:
+        """What falls of a contact's force with its rate, and the factor of the squared rate in the exponent."""
+        return 1.0 - self.fast_share, -1.0 / self.speed**2
+
     def contact(self, d: Array, before: Array, held: Array) -> Array:
         """Contact forces at rest at elongations d that were `before` when the contacts held the forces `held`."""
-        moved: Array = held + self.stick_stiffness * (d - before)
-        limits = self.limit * (self.asymmetry - 1.0), self.limit * (self.asymmetry + 1.0)
-        return np.minimum(np.maximum(moved, limits[0]), limits[1])
+        return self.slip(held + self.stick_stiffness * (d - before))
+
+    def slip(self, moved: Array) -> Array:
+        """Contact forces at rest of contacts that would hold the forces `moved` if they stuck."""
+        least, largest = self.contact_limits
+        held: Array = self.arithmetic.minimum(self.arithmetic.maximum(moved, least), largest)
+        return held
 
     def spring(self, d: Array) -> Array:
         """The part that depends only on the elongation."""
         force: Array = (self.k2 + self.k3 * d) * d * d
         if self.has_stops:
-            force = force + self.stop_stiffness * (d - np.minimum(np.maximum(d, -self.gap), self.gap))
+            force = force + self.stop_stiffness * (
+                d - self.arithmetic.minimum(self.arithmetic.maximum(d, -self.gap), self.gap)
+            )
         return force
 
     def total(self, d: Array, rate: Array, contact: Array) -> Array:
         """The forces at elongations and rates, with the contacts' forces at rest."""
         force = contact
         if self.has_falling_friction:
-            force = force * (self.fast_share + (1.0 - self.fast_share) * np.exp(-((rate / self.speed) ** 2)))
+            falling, exponent = self.falling_share
+            force = force * (self.fast_share + falling * self.arithmetic.exp(exponent * rate * rate))
         if self.has_springs:
             force = force + self.spring(d)
         if self.has_dampers:
-            force = force + np.abs(rate) * (self.c2 * rate + 0.5 * self.damping_difference)
+            force = force + abs(rate) * (self.c2 * rate + 0.5 * self.damping_difference)
         return force
 
     def tangent_stiffness(self, d: Array, before: Array, held: Array) -> Array:
@@ -188,24 +233,56 @@ def integrate_nonlinear_forces(
     stepper = _Stepper.from_system(system, step)
     width = 2 * len(system.poles)
     m = len(forces.limit)
-    slips = bool(np.any(forces.limit))
+    correct = _single_corrector if m == 1 and len(start.force) <= MOST_SINGLE_RUNS else _corrector
+    next_forces = correct(forces, start, stepper.reach)
     state = np.hstack([_equilibrium_states(system, start.force), start.force, start.force, start.force])
-    d, force, held = start.elongation, start.force, start.contact
-    result = np.empty((len(linear), *force.shape))
-    result[0] = force
+    result = np.empty((len(linear), *start.force.shape))
+    result[0] = start.force
     for k in range(1, len(linear)):
-        ahead = state @ stepper.step
-        base = ahead[:, width:] + linear[k]
-        before, contact, after = d, held, force
-        for _ in range(CORRECTOR_ITERATIONS):
-            motion = base + after @ stepper.reach
-            d = motion[:, :m]
-            if slips:
-                held = forces.contact(d, before, contact)
-            after = forces.total(d, motion[:, m:], held)
-        force = after
-        result[k] = force
+        ahead = np.dot(state, stepper.step)
+        result[k] = force = next_forces(ahead[:, width:] + linear[k])
         state[:, width + m :] = state[:, width:-m]
         state[:, width : width + m] = force
-        state[:, :width] = ahead[:, :width] + force @ stepper.ahead
+        state[:, :width] = ahead[:, :width] + np.dot(force, stepper.ahead)
     return result
+
+
+def _corrector(forces: NonlinearForces, start: RestState, reach: Array) -> Callable[[Array], Array]:
+    """A function of the motion (runs, m or 2m) without the next forces that returns these forces (runs, m)."""
+    d, force, held = start.elongation, start.force, start.contact
+    m = len(forces.limit)
+    slips, stick = bool(np.any(forces.limit)), forces.stick_stiffness
+
+    def next_forces(base: Array) -> Array:
+        nonlocal d, force, held
+        stuck = held - stick * d if slips else held
+        for _ in range(CORRECTOR_ITERATIONS):
+            motion = base + np.dot(force, reach)
+            d = motion[:, :m]
+            if slips:
+                held = forces.slip(stuck + stick * d)
+            force = forces.total(d, motion[:, m:], held)
+        return force
+
+    return next_forces
+
+
+def _single_corrector(forces: NonlinearForces, start: RestState, reach: Array) -> Callable[[Array], Array]:
+    """The same for few runs of one force: numbers take a fraction of the time of arrays that are so small."""
+    law, stick, slips = forces.single(), forces.stick_stiffness.item(), bool(np.any(forces.limit))
+    of_elongation, of_rate = [*reach[0].tolist(), 0.0][:2]
+    states = np.hstack([start.elongation, start.contact, start.force]).tolist()
+
+    def next_forces(base: Array) -> Array:
+        for state, (free, *rates) in zip(states, base.tolist(), strict=True):
+            d, held, force = state
+            stuck, rate = held - stick * d, rates[0] if rates else 0.0
+            for _ in range(CORRECTOR_ITERATIONS):
+                d = free + force * of_elongation
+                if slips:
+                    held = law.slip(stuck + stick * d)
+                force = law.total(d, rate + force * of_rate, held)
+            state[:] = d, held, force
+        return np.array([[force] for _, _, force in states])
+
+    return next_forces

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.diagnosis.significance import DATA_TEST_LEVEL, chi2_p_value
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.signals.run_spectrum import StaticPoints
@@ -29,6 +30,7 @@ def with_load_series(spectra: Spectra) -> Spectra:
     return replace(spectra, statics=tuple(_with_series(points) for points in spectra.statics))
 
 
+@cached_by_identity
 def _with_series(points: StaticPoints) -> StaticPoints:
     if points.series is not None:
         return points
