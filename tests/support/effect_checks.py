@@ -11,6 +11,7 @@ import numpy as np
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.campaign.rig.identity_cache import cached_by_identity
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
@@ -217,10 +218,7 @@ class EffectRecovery:
 
 def recover_effect(name: str, truth: TrueEffect, seed: int) -> EffectRecovery:
     """Draw a rig, give it the effect, simulate, and identify the rig without and with it."""
-    geometry, rig = truth.geometry, draw_rig(truth.geometry, np.random.default_rng(seed))
-    # A mode of a tenth of a per cent would ring through the whole of so short a record.
-    damping = {"damping_ratios": np.maximum(rig.damping_ratios, 0.008)}
-    rigid = replace(rig, **damping, torque_damping_ratio=np.maximum(rig.torque_damping_ratio, 0.008))
+    geometry, rigid = truth.geometry, drawn_rig(truth.geometry, seed)
     rig = truth.rig(rigid)
     runs, _ = simulate_campaign(rig, truth.plan, seed=seed)
     effect = DeclaredEffect(name=name, where=truth.where, parameters=truth.declared)
@@ -229,6 +227,15 @@ def recover_effect(name: str, truth: TrueEffect, seed: int) -> EffectRecovery:
     found = identify(spectra, with_effect)
     error = response_error(found, rig if shows_in_response(with_effect) else rigid, truth.spin)
     return EffectRecovery(truth, identify(spectra, geometry), found, error)
+
+
+@cached_by_identity
+def drawn_rig(geometry: Geometry, seed: int) -> TrueRig:
+    """A rig without any effect."""
+    rig = draw_rig(geometry, np.random.default_rng(seed))
+    # A mode of a tenth of a per cent would ring through the whole of so short a record.
+    damping = {"damping_ratios": np.maximum(rig.damping_ratios, 0.008)}
+    return replace(rig, **damping, torque_damping_ratio=np.maximum(rig.torque_damping_ratio, 0.008))
 
 
 def shows_in_response(geometry: Geometry) -> bool:
@@ -247,8 +254,13 @@ def response_error(model: IdentifiedModel, rig: TrueRig, spin: float) -> float:
 
     Its last period is steady: what is recorded there is the rig's true response, whatever effect it has.
     """
-    run, _ = simulate_run(rig, _hold_out_plan().model_copy(update={"rotor_speed": spin}), NO_NOISE)
-    return response_difference(identified_system(model), run, _hold_out_plan().period, spin)
+    return response_difference(identified_system(model), _hold_out_run(rig, spin), _hold_out_plan().period, spin)
+
+
+@cached_by_identity
+def _hold_out_run(rig: TrueRig, spin: float) -> Run:
+    """The further run: effects that no response shows have that of the same rig without any."""
+    return simulate_run(rig, _hold_out_plan().model_copy(update={"rotor_speed": spin}), NO_NOISE)[0]
 
 
 def response_difference(system: System, run: Run, period: float, spin: float) -> float:
