@@ -31,7 +31,7 @@ from balance_cli.io.formats import (
     RUN_FORMAT,
 )
 from balance_cli.io.result_view import plural
-from balance_cli.io.sniff import describe_file, require_file, sniff_format
+from balance_cli.io.sniff import describe_file, implied_format, require_file, sniff_format
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
 
@@ -75,7 +75,7 @@ class FileFinding:
 
 def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
     """Recognize a file and check it, against a geometry where one is given."""
-    declared = sniff_format(path)
+    declared = sniff_format(path) or implied_format(path)
     readers: dict[str, Callable[[Path, Geometry | None], FileFinding]] = {
         GEOMETRY_FORMAT: _check_geometry_file,
         RUN_FORMAT: _check_run_file,
@@ -265,7 +265,7 @@ def _check_import_map(path: Path, geometry: Geometry | None) -> FileFinding:
 def _check_planning_file(path: Path, geometry: Geometry | None) -> FileFinding:
     from balance_cli.planning.stored_forecast import describe_plan_or_hall
 
-    kind = str(sniff_format(path))
+    kind = str(sniff_format(path) or implied_format(path))
     try:
         return FileFinding(kind, describe_plan_or_hall(path))
     except UserError as error:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 from pathlib import Path
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import IMPORT_FORMAT, PLAN_FORMAT
 from balance_cli.io.reader_process import read_in_child
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -23,6 +25,17 @@ def sniff_format(path: Path) -> str | None:
     if is_hdf5(path):
         return _hdf5_format(path)
     return _yaml_format(path)
+
+
+def implied_format(path: Path) -> str | None:
+    """The format of a YAML file that declares none, by its keys: a plan of runs or a map of an import; else None."""
+    if not path.is_file() or path.suffix.lower() not in (".yaml", ".yml"):
+        return None
+    with path.open("rb") as file:
+        keys = set(re.findall(rb"^([a-z_]+)\s*:", file.read(SNIFF_BYTES), re.MULTILINE))
+    if b"runs" not in keys:
+        return None
+    return IMPORT_FORMAT if b"channels" in keys else PLAN_FORMAT
 
 
 def is_hdf5(path: Path) -> bool:

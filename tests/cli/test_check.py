@@ -157,3 +157,20 @@ def test_without_a_readable_geometry_nothing_is_checked(tmp_path: Path) -> None:
     result = check(WIND, "-g", tmp_path / "missing.yaml")
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith(f"balance: error: {tmp_path / 'missing.yaml'}: there is no such file")
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "place"),
+    [
+        ("runs:\n- {run: a, kind: zero, duration: 10}\n", "balance-plan/1", None),
+        ("runs:\n- {run: a, kind: zero, duratio: 10}\n", "balance-plan/1", "runs.0.zero.duratio"),
+        ("rig: P8\nchannels:\n  A: B\nruns:\n- {file: x, kind: wind}\n", "balance-import/1", "format"),
+        ("name: a\nrig: P8\n", "geometry", "format"),
+    ],
+)
+def test_a_file_without_a_format_is_what_its_keys_say(tmp_path: Path, text: str, kind: str, place: str | None) -> None:
+    """A plan as in the tutorial was said to be a geometry without a `format`."""
+    path = tmp_path / "file.yaml"
+    path.write_text(text)
+    finding = found(path)[str(path)]
+    assert finding["kind"] == kind and [fault["place"] for fault in finding["faults"]][:1] == ([place] if place else [])
