@@ -15,6 +15,7 @@ from balance_cli.calibration.all_trims_result import SuspectLoadSeries
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
+from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.own_products import explaining_products, one_sided_note, usual_one_sided_terms
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
@@ -114,10 +115,11 @@ def _worst_series(
     }
     if not candidates:
         return None
-    misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in candidates}
-    worst = min(candidates, key=lambda name: misfit[name])
     words = dict(_series_names(np.unique(load_series[used]), fit))
-    tied = [worst, *(name for name in candidates if name != worst and misfit[name] < AMBIGUITY_FACTOR * misfit[worst])]
+    misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in words}
+    worst = min(candidates, key=lambda name: misfit[name])
+    # One that predicts no change where there is one has no gain, and is no candidate.
+    tied = [worst, *(name for name in misfit if name != worst and misfit[name] < AMBIGUITY_FACTOR * misfit[worst])]
     rivals = [LoadSeriesRows((load_series == name) & used, words[name]) for name in tied]
     if len(rivals) == 1 or not contradicts(points, rivals[0].rows):
         others = tuple(each.words for each in rivals[1:])
@@ -130,7 +132,7 @@ def _worst_series(
         raise undecided_error(points, rivals)
     both = " and ".join(each.words for each in rivals)
     note = f"{both} contradict each other; the response of the declared geometry refutes {rivals[wrong].words}"
-    return _Exclusion(rivals[wrong].rows, candidates[tied[wrong]], note)
+    return _Exclusion(rivals[wrong].rows, candidates.get(tied[wrong], candidates[worst]), note)
 
 
 def _unexplained_channels(
@@ -192,7 +194,10 @@ def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str
 
 def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
     """Mean square cross-validation error without these rows (m,), in units of the noise, large errors clipped."""
-    errors = fit_calibration_model(points.exclude_rows(rows), LINEAR_TERMS).cross_validation_errors
+    try:
+        errors = fit_calibration_model(points.exclude_rows(rows), LINEAR_TERMS).cross_validation_errors
+    except CollinearError:  # no other series tells one of its loads
+        return np.inf
     scaled = (errors / robust_sigma(errors)) ** 2
     return float(np.mean(np.minimum(scaled[np.isfinite(scaled)], MAX_SCALED_SQUARE)))
 
@@ -209,8 +214,7 @@ def _suspect_channels(
     errors = np.where(known, fit.cross_validation_errors[rows], change)  # a prediction of no change has no gain
     predicted = change - (errors - errors.mean(axis=0))
     least, names = least_gain_errors(points, fit, rows, predicted), points.channel_names
-    exact = np.zeros(len(names))
-    if not any(_check_channel_gain(c, change, predicted, exact, least, names, "") for c in range(len(names))):
+    if not any(_check_channel_gain(c, change, predicted, 0.0 * least, least, names, "") for c in range(len(names))):
         return []
     others = _fit_of_others(points, fit, rows, known)
     # The misfit of a linear model follows the load: it does not average out over the rows.

@@ -114,3 +114,21 @@ def test_declared_sensitivities_that_fit_neither_series_settle_nothing():
     _, points = two_series_a_load(5, -1.0)
     with pytest.raises(UserError, match="contradict"):
         calibrate_all_trims(points, declared=np.random.default_rng(1).normal(size=(8, 6)) / FULL_RANGE)
+
+
+@pytest.mark.parametrize("wrong", [0, 3])
+def test_of_two_series_that_disagree_in_another_load_either_may_be_wrong(wrong):
+    """One of them predicts no change of a channel, and so no gain: only the sound one was named, and excluded."""
+    rng, steps = np.random.default_rng(8), np.r_[0:6, 4:-6:-1, -4:1] / 5.0
+    x, series = np.vstack([np.outer(steps, part) for part in (*np.eye(3), *np.eye(3))]), np.repeat(np.arange(6), 21)
+    true = x.copy()
+    true[series == wrong, 2] += 0.3 * x[series == wrong, 0]
+    read = true @ (np.eye(3) + 0.01 * rng.normal(size=(3, 3))) + 2e-4 * rng.normal(size=x.shape)
+    names = tuple(f"g{c}" for c in range(3))
+    whole = calibrate_all_trims(
+        CalibrationPoints(names, COMPONENTS[:3], ("stand",), read, x, 0 * series, np.ones(len(x)), np.ones(3))
+    )
+    assert {suspect.load_series for suspect in whole.suspect_series} | set(whole.suspect_series[0].alternatives) == {
+        "stand rows 1 to 21 (Fx)",
+        "stand rows 64 to 84 (Fx)",
+    }
