@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -67,7 +68,7 @@ def pulse_faults(run: Run, declared_speed: float | None = None) -> Iterator[User
             "Check `sample_rate`, and whether there is one pulse in each revolution",
         )
         return
-    fault = skipped_revolutions(run, rate, declared_speed) if declared_speed else ""
+    fault = miscounted_revolutions(run, rate, declared_speed) if declared_speed else ""
     if fault:
         remedy = "Give one pulse for each revolution, or the speed of this rotor as `rotor.speed` of the geometry"
         yield UserError(fault, run.file, "rotor/pulse_times", remedy)
@@ -92,34 +93,50 @@ def speed_fault(rate: float, speed: float) -> str:
     return f"the pulses come at {rate:.4g} Hz, `rotor_speed` is {speed:g} Hz"
 
 
-def skipped_revolutions(run: Run, rate: float, declared_speed: float) -> str:
-    """Return why pulses at a rate [Hz], which the file calls the rotor speed, come once in several revolutions.
+def miscounted_revolutions(run: Run, rate: float, declared_speed: float) -> str:
+    """Return why pulses at a rate [Hz], which the file calls the rotor speed, are not one in each revolution.
 
-    Both must say so: the speed that the geometry declares, and the lines of the channels, of which none lies between
-    its multiples. Every rotor has a line at its own speed. Empty where the pulses are in order.
+    Both must say so: the speed that the geometry declares, and the lines of the channels. Where pulses are too few, no
+    line lies between the multiples of the declared speed; every rotor has a line at its own. Where they are too many,
+    most lines lie between the multiples of their rate. Empty where the pulses are in order.
     """
     assert run.pulse_times is not None
-    ratio = round(declared_speed / rate)
-    if ratio < 2 or abs(declared_speed / (ratio * rate) - 1.0) > NOMINAL_TOLERANCE:
+    ratio = declared_speed / rate
+    factors = _whole_factors(ratio)
+    if not factors:
         return ""
-    pulses = _middle_pulses(run.pulse_times)
+    pulses = _middle_pulses(run.pulse_times, max(1.0, 1.0 / ratio))
     lines, weight, resolution = _strongest_lines(run, float(pulses[0]), float(pulses[-1]))
     rate, spread = (len(pulses) - 1) / float(pulses[-1] - pulses[0]), _speed_spread(pulses)
-    if len(lines) < FEWEST_LINES or rate < 8.0 * resolution:
+    if len(lines) < FEWEST_LINES or min(factors[0], 1.0) * rate < 8.0 * resolution:
         return ""
-    of_rotor = _share_on_comb(lines, weight, ratio * rate, resolution, spread)
-    if of_rotor < SHARE_ON_ROTOR or _share_on_comb(lines, weight, rate, resolution, spread) > of_rotor:
+    shares = [_share_on_comb(lines, weight, factor * rate, resolution, spread) for factor in factors]
+    factor, of_rotor = factors[int(np.argmax(shares))], max(shares)
+    of_pulses = _share_on_comb(lines, weight, rate, resolution, spread)
+    rotor, declared = f"{factor * rate:.4g} Hz", f"of the rotor, whose declared speed is {declared_speed:g} Hz"
+    if factor > 1.0 and of_rotor >= max(SHARE_ON_ROTOR, of_pulses):
+        what = f"have lines at multiples of {rotor}, not between: once in {factor:.0f} revolutions {declared}"
+    elif factor < 1.0 and of_rotor >= SHARE_ON_COMB and of_pulses < SHARE_ON_ROTOR:
+        what = f"have lines between, at multiples of {rotor}: {1.0 / factor:.0f} times in each revolution {declared}"
+    else:
         return ""
-    return (
-        f"the pulses come at {rate:.4g} Hz, and the channels have lines at multiples of {ratio * rate:.4g} Hz, not "
-        f"between: once in {ratio} revolutions of the rotor, whose declared speed is {declared_speed:g} Hz"
-    )
+    return f"the pulses come at {rate:.4g} Hz, and the channels {what}"
 
 
-def _middle_pulses(pulses: Array) -> Array:
+def _whole_factors(ratio: float) -> list[float]:
+    """Whole numbers from two on, or one over such, in rising order, that a ratio to a nominal speed may be."""
+    if ratio > 1.0:
+        nearest = round(ratio)
+        return [float(nearest)] if nearest > 1 and abs(ratio / nearest - 1.0) <= NOMINAL_TOLERANCE else []
+    least = math.ceil(1.0 / (ratio * (1.0 + NOMINAL_TOLERANCE)))
+    most = math.floor(1.0 / (ratio * (1.0 - NOMINAL_TOLERANCE)))
+    return [1.0 / count for count in range(max(2, least), min(most, MAX_PULSES_PER_REVOLUTION) + 1)][::-1]
+
+
+def _middle_pulses(pulses: Array, pulses_per_revolution: float = 1.0) -> Array:
     """Return the pulses in the middle of a record."""
-    middle = len(pulses) // 2
-    return pulses[max(0, middle - SPECTRUM_REVOLUTIONS // 2) : middle + SPECTRUM_REVOLUTIONS // 2 + 1]
+    middle, half = len(pulses) // 2, int(SPECTRUM_REVOLUTIONS * pulses_per_revolution) // 2
+    return pulses[max(0, middle - half) : middle + half + 1]
 
 
 def coverage_fault(run: Run) -> str:

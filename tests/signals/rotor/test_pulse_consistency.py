@@ -92,3 +92,16 @@ def test_a_rotor_may_turn_at_half_of_its_declared_speed():
     for orders in ((1, 2, 3, 4, 6), (2, 4, 6, 8, 9)):
         assert list(pulse_faults(record(orders=orders), 2 * SPEED)) == []
     assert list(pulse_faults(record(orders=(2, 4, 6, 8, 10)), 1.5 * SPEED)) == []
+
+
+@pytest.mark.parametrize(("pulses", "orders"), [(2, (1, 2, 3, 4, 5)), (4, (1, 2, 3, 4, 6)), (60, (1, 2, 3, 4, 6))])
+def test_several_pulses_a_revolution_are_found_though_the_stated_speed_is_theirs(pulses, orders):
+    """As `import` states it where the map forgets `pulses_per_revolution`."""
+    run = record(pulses_at=pulses * SPEED, stated_speed=pulses * SPEED, orders=orders)
+    (fault,) = pulse_faults(run, 1.03 * SPEED)
+    assert f"{pulses} times in each revolution of the rotor, whose declared speed is 11.33 Hz" in str(fault)
+
+
+def test_a_rotor_may_turn_at_twice_its_declared_speed():
+    for orders in ((1, 2, 3, 4, 6), (1, 2, 3, 4.5, 5, 6), ()):
+        assert list(pulse_faults(record(orders=orders), 0.5 * SPEED)) == []
