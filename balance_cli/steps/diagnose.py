@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.diagnosis.causes import judge_number_of_causes
+from balance_cli.diagnosis.common_delay import judge_common_delay
 from balance_cli.diagnosis.common_load_gain import judge_common_load_gain
 from balance_cli.diagnosis.conclusions import (
     decide_verdict,
@@ -84,7 +85,7 @@ def diagnose(
     drift = share_with_forces(zeros.drift, fit.model.system(fit.theta), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
-    diagnosis = judge_number_of_causes(diagnosis)
+    diagnosis, updated = judge_common_delay(judge_number_of_causes(diagnosis), updated)
     announce("done")
     return diagnosis, updated
 
