@@ -281,3 +281,15 @@ def test_nothing_to_reduce(runs, calibration):
 def test_what_is_no_result_is_not_saved(tmp_path):
     with pytest.raises(TypeError, match="str is not a result"):
         balance_cli.save_artefact(tmp_path / "x.h5", "a path")
+
+
+def test_a_point_table_is_calibrated_as_by_the_command(tmp_path):
+    """It was refused as no HDF5 file, though the command reads it."""
+    blocks = (ROOT / "docs" / "any-balance.md").read_text(encoding="utf-8").split("```")
+    geometry, table = tmp_path / "balance.yaml", tmp_path / "points.csv"
+    geometry.write_text(blocks[1].removeprefix("yaml\n"))
+    table.write_text(blocks[3].removeprefix("text\n"))
+    calibration = bal.calibrate(table, geometry, terms="linear")
+    frame = calibration.to_frame()
+    assert list(frame["channel"]) == ["B1", "B2", "B3"]
+    assert frame["A"][0] == pytest.approx(1.02e-3 / (50.0 * 4.4482216), rel=0.01)  # 1.02 mV/V for 50 lbf

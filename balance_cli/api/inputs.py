@@ -18,6 +18,9 @@ PathLike = str | os.PathLike[str]
 RunLike = Run | PathLike
 GeometryLike = Geometry | PathLike
 
+TABLE_SUFFIXES = (".csv", ".txt", ".tsv")
+"""Names of point tables; the commands tell them by their content."""
+
 
 def read_run(path: PathLike) -> Run:
     """Open a run file (HDF5, `balance-run/1`); its samples are read when they are needed.
@@ -55,7 +58,7 @@ def to_geometry(geometry: GeometryLike) -> Geometry:
 
 
 def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run, ...]:
-    """The runs, opened where paths are given.
+    """The runs, opened where paths are given; a point table may hold several.
 
     Raises UserError where a file cannot be read, a run belongs to another rig, or two runs have one name.
     """
@@ -64,13 +67,22 @@ def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run,
     for item in items:
         if not isinstance(item, Run | str | os.PathLike):
             raise TypeError(f"`runs` must be runs or paths, not {type(item).__name__}")
-        run = item if isinstance(item, Run) else read_run(item)
-        for mismatch in geometry_mismatches(run, geometry):
-            raise mismatch
-        if run.name in opened:
-            raise UserError(f"two runs are named `{run.name}`", run.file, "run", "Give each run once")
-        opened[run.name] = with_hub_loads(run, geometry)
+        for run in (item,) if isinstance(item, Run) else _open(Path(item), geometry):
+            for mismatch in geometry_mismatches(run, geometry):
+                raise mismatch
+            if run.name in opened:
+                raise UserError(f"two runs are named `{run.name}`", run.file, "run", "Give each run once")
+            opened[run.name] = with_hub_loads(run, geometry)
     return tuple(opened.values())
+
+
+def _open(path: Path, geometry: Geometry) -> tuple[Run, ...]:
+    """The run of a file, or the static runs of a point table, which its name tells."""
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        return (read_run(path),)
+    from balance_cli.campaign.recording.load_table import read_load_table, runs_of_table
+
+    return runs_of_table(read_load_table(path, geometry), geometry)
 
 
 def require_band(band: tuple[float, float] | None) -> None:
