@@ -30,9 +30,11 @@ from balance_cli.cli.batch.executors import keep_freed_memory
 from balance_cli.cli.batch.work import Item, pickle_reduction, reduce_file, survey_run
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.reduction.harmonic_loads import harmonic_loads
+from balance_cli.reduction.harmonic_loads import harmonic_response
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.steadiness import examine_steadiness
+from balance_cli.reduction.suspect_channels import explain_residuals
+from balance_cli.reduction.weighted_least_squares import solve_loads
 from balance_cli.signals.rotor.harmonics import estimate_harmonics
 from balance_cli.signals.rotor.pulse_consistency import line_spacing
 from balance_cli.signals.rotor.unmodelled_lines import unmodelled_lines
@@ -50,7 +52,9 @@ STAGES: dict[str, Callable[..., object]] = {
     "pulses against lines": line_spacing,
     "transient end": find_transient_end,
     "regression, lines beside": estimate_harmonics,
-    "response, least squares": harmonic_loads,
+    "response": harmonic_response,
+    "least squares": solve_loads,
+    "mistakes in channels": explain_residuals,
     "other lines": unmodelled_lines,
     "steadiness": examine_steadiness,
 }
