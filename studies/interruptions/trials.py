@@ -172,6 +172,8 @@ def interrupted_chain(
         process.send_signal(getattr(signal, name))
         process.communicate(timeout=LONGEST_CALL)
         statuses.append(f"{name} {process.returncode}")
+        if process.returncode == 0:  # it was over before the signal came: the next one begins anew
+            shutil.rmtree(output)
     last = start(words, output.with_name("tmp"))
     said = messages(last.communicate(timeout=LONGEST_CALL)[1])
     return {
