@@ -121,7 +121,8 @@ def _lines_without(run: RunSpectrum, name: str, geometry: Geometry) -> RunSpectr
     waveform = run.waveform
     if waveform is not None:
         share = _share_without(waveform.share, run.channel_names, name, geometry)
-        waveform = waveform.with_channels(waveform.volts[:, remaining], share)
+        noise = None if waveform.noise is None else waveform.noise[remaining]
+        waveform = waveform.with_channels(waveform.volts[:, remaining], share, noise)
     window = None if run.window is None else replace(run.window, covariance=run.window.covariance[pick])
     return replace(
         run,

@@ -31,6 +31,7 @@ from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.fit_quality import fit_quality, frf_band
+from balance_cli.estimation.force_noise import add_force_noise
 from balance_cli.estimation.identifiability import parameter_identifiability
 from balance_cli.estimation.identified_model import FitQuality
 from balance_cli.estimation.levenberg_marquardt import predicted_decrease
@@ -142,6 +143,7 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     """Test the result of a search on all lines: confirm, prune, drop what is unsupported, and compare alternatives."""
     task.announce("maximum likelihood of all lines")
     settings, state = task.settings, search_result.state
+    task = _weight_by_force_noise(task, state)
     fit, narrowed, batches, error_runs = _first_fit(task, state, last_round(search_result.trials) + 1)
     trials, alternatives = (*search_result.trials, *narrowed), _search_alternatives(search_result, settings)
     for number in range(settings.selection.max_passes):
@@ -178,6 +180,11 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     known = None if error_runs else fit.minimum.data.information
     is_good = is_good_fit(confirmation, model_quality(fit.model, fit.theta, task.batches, known), settings)
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation, is_good)
+
+
+def _weight_by_force_noise(task: _UpdateTask, state: SearchState) -> _UpdateTask:
+    """The task with the noise of nonlinear forces in its weights, which other effects would describe."""
+    return replace(task, batches=add_force_noise(task.batches, state.model.system(state.theta, derivatives=False)))
 
 
 def _first_fit(

@@ -147,7 +147,10 @@ def _expand_waveform(lines: RunSpectrum, channel_names: tuple[str, ...]) -> Wave
     share = np.zeros(volts.shape)
     indices = _channel_indices(lines, channel_names)
     volts[:, indices], share[:, indices] = waveform.volts, waveform.share
-    return waveform.with_channels(volts, share)
+    noise = None if waveform.noise is None else np.zeros(len(channel_names))
+    if noise is not None:
+        noise[indices] = waveform.noise
+    return waveform.with_channels(volts, share, noise)
 
 
 def _expand_noise_parts(lines: RunSpectrum, channel_names: tuple[str, ...]) -> tuple[NoisePart, ...]:

@@ -61,7 +61,8 @@ class SampledWaveform:
 
     `volts` and `share` (F, c) are at the harmonics 0, 1, 2 ... of 1/T, `frequency` (F,) [Hz], of a period T.
     `bin_index` (R,) is the position of each bin among the F frequencies, `filter_response` (R,) the anti-alias filter
-    there.
+    there. `noise` (c,) [V]: standard deviation of an amplitude as recorded, `passed_share` (F,) what the filter passes;
+    None where the noise is not known.
     """
 
     frequency: Array
@@ -71,6 +72,8 @@ class SampledWaveform:
     bin_index: NDArray[np.intp]
     filter_response: ComplexArray
     is_periodic: bool = True
+    noise: Array | None = None
+    passed_share: Array | None = None
 
     @property
     def fine_frequency(self) -> Array:
@@ -101,9 +104,24 @@ class SampledWaveform:
         """The waveform for the lines (K,) in the mask."""
         return replace(self, bin_index=self.bin_index[mask], filter_response=self.filter_response[mask])
 
-    def with_channels(self, volts: ComplexArray, share: Array) -> SampledWaveform:
-        """The waveform with other channels, volts and share (F, c)."""
-        return replace(self, volts=volts, share=share)
+    def with_channels(self, volts: ComplexArray, share: Array, noise: Array | None) -> SampledWaveform:
+        """The waveform with other channels, volts and share (F, c) and noise (c,)."""
+        return replace(self, volts=volts, share=share, noise=noise)
+
+    def draw_noise(self, rng: np.random.Generator) -> ComplexArray:
+        """A sample (F, c) [V] of the errors of the amplitudes by noise; zero where it is not known, or an amplitude is.
+
+        Of an amplitude that Wiener's gain g has reduced, an error of g times the variance of the noise is left; with
+        the power q of the reduced one, sigma^2 / (1 - g) is P in q = (P - sigma^2)^2 / P.
+        """
+        if self.noise is None or self.passed_share is None:
+            return np.zeros_like(self.volts)
+        variance = self.noise**2
+        q = np.abs(self.volts * self.passed_share[:, None]) ** 2
+        power = variance + 0.5 * (q + np.sqrt(q * (q + 4.0 * variance)))
+        error = np.sqrt(0.5 * variance * (1.0 - variance / np.maximum(power, np.finfo(float).tiny)))
+        draw = rng.normal(size=(2, *error.shape)) * np.where(self.share > 0, error, 0.0)
+        return np.asarray((draw[0] + 1j * draw[1]) / np.maximum(self.passed_share, np.finfo(float).tiny)[:, None])
 
     def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling:
         """The samples of the window; those of one period where no window is known."""

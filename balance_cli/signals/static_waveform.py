@@ -26,6 +26,11 @@ class StaticWaveform:
     projection: Array
 
     @property
+    def noise(self) -> Array | None:
+        """None: forces at rest hardly depend on it."""
+        return None
+
+    @property
     def frequency(self) -> Array:
         """Frequency [Hz] of the m points, zero."""
         return np.zeros(len(self.volts))
@@ -59,9 +64,13 @@ class StaticWaveform:
         """The waveform for the lines (K,) in the mask."""
         return replace(self, projection=self.projection[mask])
 
-    def with_channels(self, volts: ComplexArray, share: Array) -> StaticWaveform:
+    def with_channels(self, volts: ComplexArray, share: Array, noise: Array | None) -> StaticWaveform:
         """The waveform with other channels, volts and share (F, c)."""
         return replace(self, volts=volts, share=share)
+
+    def draw_noise(self, rng: np.random.Generator) -> ComplexArray:
+        """Zero (m, c): the noise of the points is not known here."""
+        return np.zeros_like(self.volts)
 
     def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling | None:
         """None: load points have no time axis."""

@@ -66,6 +66,11 @@ class Waveform(Protocol):
         ...
 
     @property
+    def noise(self) -> Array | None:
+        """Standard deviation (c,) [V] of an amplitude by noise, as recorded; None where it is not known."""
+        ...
+
+    @property
     def frequency(self) -> Array:
         """Frequencies (F,) [Hz] of the amplitudes."""
         ...
@@ -99,8 +104,12 @@ class Waveform(Protocol):
         """The waveform for the lines (K,) in the mask."""
         ...
 
-    def with_channels(self, volts: ComplexArray, share: Array) -> Waveform:
-        """The waveform with other channels, volts and share (F, c)."""
+    def with_channels(self, volts: ComplexArray, share: Array, noise: Array | None) -> Waveform:
+        """The waveform with other channels, volts and share (F, c) and noise (c,)."""
+        ...
+
+    def draw_noise(self, rng: np.random.Generator) -> ComplexArray:
+        """A sample (F, c) [V] of the errors of the amplitudes by noise; zero where it is not known."""
         ...
 
     def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling | None:

@@ -110,34 +110,50 @@ def waveform_from_samples(
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
-    gain = _wiener_gain(amplitudes, variance, 1 if is_periodic else SMOOTHING_LINES)
+    noise = variance if is_periodic else np.minimum(variance, _quiet_variance(amplitudes))
+    gain = _wiener_gain(amplitudes, noise, 1 if is_periodic else SMOOTHING_LINES)
     volts = volts * gain
     if not is_periodic:
         beyond = ~np.logical_or.accumulate((gain > 0.0)[::-1] & _is_passed(passed)[::-1, None], axis=0)[::-1]
         volts = np.where(beyond, _amplitudes(_end_to_end_line(samples)), volts)
     share = channel_shares(geometry, lines.channel_names, frequency, variance) * _is_passed(passed)[:, None]
-    return SampledWaveform(frequency, volts, share, n, bin_index, passed[bin_index])
+    return SampledWaveform(
+        frequency, volts, share, n, bin_index, passed[bin_index], noise=np.sqrt(noise), passed_share=np.abs(passed)
+    )
 
 
 def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int) -> Array:
     """Wiener's gain (F, c): the fraction of the power of each amplitude that is not noise of variance (c,).
 
-    The power is averaged over neighbors, and the gain is zero where noise alone would have as much. The residual of the
-    lines may be distortion, and so motion: the noise is limited to the power at the quietest frequencies.
+    The power is averaged over neighbors, and the gain is zero where noise alone would have as much.
     N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949.
     """
-    from scipy.ndimage import convolve1d
-
+    if smoothing_lines == 1:
+        return np.asarray(np.maximum(1.0 - variance / np.maximum(np.abs(amplitudes) ** 2, 1e-300), 0.0))
     from balance_cli.signals.distributions import chi2
 
-    power, dof = np.abs(amplitudes) ** 2, 2 * smoothing_lines
-    if smoothing_lines == 1:
-        return np.asarray(np.maximum(1.0 - variance / np.maximum(power, 1e-300), 0.0))
-    # A running sum would leave rounding errors of the largest power in the smallest, of either sign.
-    power = convolve1d(power, np.full(smoothing_lines, 1.0 / smoothing_lines), axis=0)
-    quiet = np.quantile(power, QUIET_QUANTILE, axis=0) * dof / chi2.ppf(QUIET_QUANTILE, dof)
-    ratio = np.minimum(variance, quiet) / np.maximum(power, 1e-300)
+    ratio, dof = variance / np.maximum(_smooth_power(amplitudes, smoothing_lines), 1e-300), 2 * smoothing_lines
     return np.where(ratio * chi2.isf(NOISE_P_VALUE, dof) / dof < 1.0, 1.0 - ratio, 0.0)
+
+
+def _smooth_power(amplitudes: ComplexArray, smoothing_lines: int) -> Array:
+    """Mean power (F, c) of neighboring amplitudes."""
+    from scipy.ndimage import convolve1d
+
+    # A running sum would leave rounding errors of the largest power in the smallest, of either sign.
+    return np.asarray(convolve1d(np.abs(amplitudes) ** 2, np.full(smoothing_lines, 1.0 / smoothing_lines), axis=0))
+
+
+def _quiet_variance(amplitudes: ComplexArray) -> Array:
+    """The variance (c,) of noise alone by the quietest frequencies of a record that does not repeat.
+
+    The residual of its lines may be distortion, and so motion.
+    """
+    from balance_cli.signals.distributions import chi2
+
+    dof = 2 * SMOOTHING_LINES
+    quantile = np.quantile(_smooth_power(amplitudes, SMOOTHING_LINES), QUIET_QUANTILE, axis=0)
+    return np.asarray(quantile * dof / chi2.ppf(QUIET_QUANTILE, dof))
 
 
 def _undo_anti_alias_filter(

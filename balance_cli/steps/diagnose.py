@@ -29,6 +29,7 @@ from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.worse_update import refuse_worse_update
 from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift, share_with_forces
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.force_noise import add_force_noise
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -54,21 +55,21 @@ def diagnose(
     `spectra` include means and waveforms; lines outside the band of the model are left out. Raises UserError for a
     model of the paper's form, and without any sweep or any line in the band.
     """
-    _check_inputs(model, spectra)
-    spectra, settings = with_load_series(spectra.in_band(model.band)), settings.begin()
+    spectra, settings = with_load_series(_check_inputs(model, spectra).in_band(model.band)), settings.begin()
     announce = _Announcer(progress, settings)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)
     measured, spectra = spectra, add_drift_variance(spectra, zeros.drift)
     start = add_zeros(*before, zeros.offsets, settings)
     batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
-    quality = model_quality(*before, batches)
+    quality = model_quality(*before, add_force_noise(batches, before[0].system(before[1], derivatives=False)))
     update = update_model(*start, spectra, batches, effect_labels(before[0]), announce, settings)
     update = refuse_worse_update(*start, batches, update, settings)
     exclusion = _exclusion(start, spectra, batches, update, announce, settings)
     if exclusion is not None:
         spectra, batches, update = exclusion.spectra, exclusion.batches, exclusion.update
     fit, after = update.fit, (update.fit.model, update.fit.theta)
+    batches = add_force_noise(batches, fit.model.system(fit.theta))
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
     updated = replace(updated, band=model.band)
     same_effects = effect_labels(fit.model) == effect_labels(before[0])
@@ -166,11 +167,13 @@ def _lowest_mode(model: IdentifiedModel) -> float:
     return float(model.modes.frequency.min()) if len(model.modes.frequency) else rig_frequency(model.geometry)
 
 
-def _check_inputs(model: IdentifiedModel, spectra: Spectra) -> None:
+def _check_inputs(model: IdentifiedModel, spectra: Spectra) -> Spectra:
+    """Return the spectra, if this model can be diagnosed with them."""
     if model.form != "physical":
         raise UserError("the paper's form has no parameters to add to", "MODEL", remedy="Identify with --form physical")
     if not spectra.lines:
         raise UserError("no sweep run to diagnose with", remedy="Give at least one sweep run")
+    return spectra
 
 
 class _Announcer:

@@ -17,6 +17,7 @@ from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF, Damping, Form,
 from balance_cli.estimation.effect_inaccuracy import effect_inaccuracy_variance
 from balance_cli.estimation.equation_error import fit_equation_error
 from balance_cli.estimation.fit_quality import fit_quality, frf_band
+from balance_cli.estimation.force_noise import add_force_noise
 from balance_cli.estimation.identifiability import (
     covariance_from_information,
     parameter_identifiability,
@@ -108,7 +109,19 @@ def _identify_physical_form(spectra: Spectra, geometry: Geometry, options: Ident
         # Along the frequency of a tone chi-square has a minimum for each lobe of the spectrum.
         settings = replace(DEFAULT_SETTINGS, fit=replace(DEFAULT_SETTINGS.fit, comparison_tolerance=TOLERANCE))
         minimum = refit_at_best_frequency(Fit(model, minimum), model.effects, batches, settings).minimum
+        minimum, batches = _weight_by_force_noise(model, minimum, batches)
     return build_identified_model(model, batches, minimum, options.method, start, spectra)
+
+
+def _weight_by_force_noise(
+    model: BalanceModel, minimum: Minimum, batches: tuple[Batch, ...]
+) -> tuple[Minimum, tuple[Batch, ...]]:
+    """The fit continued with the noise of nonlinear forces in its weights, and the lines so weighted."""
+    system = model.system(minimum.theta, derivatives=False)
+    if not system.equations.forces:
+        return minimum, batches
+    weighted = add_force_noise(batches, system)
+    return fit_maximum_likelihood(model, weighted, minimum.theta), weighted
 
 
 def _declared_estimate(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:

@@ -61,14 +61,19 @@ def uneven_contact(x, v, slider):
     return 2e5 * (x - slider), slider
 
 
+def multisine_amplitudes(count):
+    """Amplitudes (count,) [N] of the load at multiples of 1/T: 6 N each from 5 to 38 Hz."""
+    spectrum, lines = np.zeros(count, complex), np.arange(10, 77)
+    spectrum[lines] = 6.0 * np.exp(2j * np.pi * np.random.default_rng(2).random(len(lines)))
+    return spectrum
+
+
 @cache
 def motion(force):
     """The last period of the motion [m] under a multisine of 5 to 38 Hz, on the fine grid."""
     count = round(RATE * PERIOD) * FINE
-    spectrum = np.zeros(count + 1, complex)  # two samples a step: the load at half steps
-    lines = np.arange(10, 77)
-    spectrum[lines] = 6.0 * np.exp(2j * np.pi * np.random.default_rng(2).random(len(lines))) * count
-    load = np.fft.irfft(spectrum, 2 * count)
+    # Two samples a step: the load at half steps.
+    load = np.fft.irfft(multisine_amplitudes(count + 1) * count, 2 * count)
     h, x, v, slider = PERIOD / count, 0.0, 0.0, 0.0
     path = np.empty(count)
     for _ in range(PERIODS):
