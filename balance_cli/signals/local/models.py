@@ -48,6 +48,8 @@ POLYNOMIAL_ORDERS = ModelOrders(2, 2, 0)
 RATIONAL_WIDTH = 0.132
 """Least width of such a window over the geometric middle of the band, or over the width of a narrow band: several
 half-power widths of a mode of 1 % in the middle; 3 Hz of the band of 4 to 146 Hz by which these models are tested."""
+LEAST_MIDDLE = 0.1
+"""Least middle of a band over its highest frequency: one that begins near zero has no geometric middle."""
 MOST_RESPONSE_LINES = 6000
 """Lines of a response; a longer record is decimated, which keeps files and fits small."""
 LEAST_CHANNEL_DOF = 500
@@ -131,7 +133,8 @@ def _window_layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple
         M = POLYNOMIAL_ORDERS.coefficients(inputs) + POLYNOMIAL_DOF | 1
         return (POLYNOMIAL_ORDERS,), M, 1 + len(frequency) // MOST_RESPONSE_LINES
     least, most = frequency[0], frequency[-1]
-    width = int(RATIONAL_WIDTH * min(sqrt(least * most), most - least) / (frequency[1] - least))
+    middle = max(sqrt(least * most), LEAST_MIDDLE * most)
+    width = int(RATIONAL_WIDTH * min(middle, most - least) / (frequency[1] - least))
     M = max(RATIONAL_LINES, width, 3 * max(o.coefficients(inputs) for o in RECORD_MODEL_ORDERS)) | 1
     return RECORD_MODEL_ORDERS, M, M // 3
 

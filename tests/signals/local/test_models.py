@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.fit import ModelOrders, WindowedData, fit_windows
-from balance_cli.signals.local.models import fit_local_models
+from balance_cli.signals.local.models import _window_layout, fit_local_models
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record, nonperiodic_spectrum
 from balance_cli.signals.local.response import local_response, response_from_models
 from balance_cli.signals.local.scaled_spectrum import record_spectrum
@@ -85,6 +85,14 @@ def test_a_rig_that_is_slower_throughout_has_the_same_response():
     np.testing.assert_allclose(slow.frequency, fast.frequency / 20.0, rtol=1e-12)
     np.testing.assert_allclose(slow.response, fast.response, rtol=1e-9)
     np.testing.assert_allclose(slow.channel_covariance, fast.channel_covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("first", [1, 1000, 2500])
+def test_windows_of_a_band_that_begins_near_zero_hold_a_mode(first):
+    """The lines of the Silverbox end at 251 Hz, 0.03 Hz apart; its mode at 68 Hz has a half-power width of 3 Hz."""
+    frequency = 0.0277 * np.arange(first, 9057)
+    _, lines, _ = _window_layout("lrm", 1, frequency)
+    assert 3.0 < 0.0277 * lines < 20.0
 
 
 def test_coherence_is_high_and_below_one(lrm):
