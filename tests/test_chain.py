@@ -93,7 +93,10 @@ def test_the_table_is_what_scripts_expect(results):
     assert len(table) == 2 * 6 * 9
     first = table[(table.run == "check-1") & (table.harmonic == 1)].frequency_hz.iloc[0]
     assert first == pytest.approx(17.5, rel=0.05)
-    assert set(table[table.harmonic == 0].flag) <= {"no zero", "no zero; redundancy"}
+    means = table[table.harmonic == 0]
+    assert set(means[~means.component.isin(["Fx", "My", "Mz"])].flag) <= {"no zero", "no zero; redundancy"}
+    assert set(means.flag) <= {f"no zero{one}{more}" for one in ("", "; untested") for more in ("", "; redundancy")}
+    assert table[table.component == "Mz"].flag.str.contains("untested").all()
 
 
 def test_a_history_is_written_per_run(results):

@@ -22,10 +22,18 @@ from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.measured_response import highest_frequency
-from balance_cli.reduction.response_sources import ResponseSource, at_rotor_speed, load_scale, usable_channels
+from balance_cli.reduction.response_sources import (
+    ResponseSource,
+    at_rotor_speed,
+    circular_real,
+    load_scale,
+    stacked_real,
+    usable_channels,
+)
 from balance_cli.reduction.spectra_result import RunSpectra
 from balance_cli.reduction.trust import sensor_count
-from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
+from balance_cli.reduction.untested_loads import row_sensors, untested_harmonics
+from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE, LoadEquations
 from balance_cli.signals import distributions
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import BLOCK_SAMPLES, CleanRecord, channel_noise
@@ -41,6 +49,8 @@ TRANSIENT_TIME_CONSTANTS = 7.0
 """Time constants of the slowest mode that are left out at the start: exp(-7) is a thousandth."""
 TRANSIENT_SHARE = 0.25
 """Largest share of the record that is left out at its start."""
+TESTED_FREQUENCIES = 32
+"""Over a band, at which is examined whether a component rests on one sensor: one does at all of them."""
 BELOW_NYQUIST = 0.9
 """Of half the sample rate: the highest frequency of a spectrum."""
 BANDWIDTH_BINS = 2.0
@@ -94,7 +104,25 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         interval=(first / sample_rate(run), run.samples / sample_rate(run)),
         left_out=health.left_out,
         load_error=_load_error(spectra, inversion, components, geometry, len(health.live)) if has_loads else None,
+        untested=_rest_on_one_sensor(inversion, density, health, geometry, components) if is_redundant else None,
     )
+
+
+def _rest_on_one_sensor(
+    inversion: _Inversion,
+    density: _Densities,
+    health: ChannelHealth,
+    geometry: Geometry,
+    components: tuple[str, ...],
+) -> tuple[str, ...] | None:
+    """Return the components that rest on one sensor at all frequencies; None where none does."""
+    at = np.unique(np.linspace(0, len(inversion.T) - 1, TESTED_FREQUENCIES).astype(int))
+    T, G, covariance = stacked_real(inversion.T[at]), stacked_real(inversion.G[at]), circular_real(inversion.noise[at])
+    equations = LoadEquations(T, np.zeros(T.shape[:2]), covariance, G)
+    degrees = np.full(len(at), float(T.shape[1] - T.shape[2]))
+    names = row_sensors(health.live, inversion.rows, geometry, inversion.T.shape[1] == len(health.live))
+    mask = untested_harmonics(equations, names, degrees, density.limit[at], np.sqrt(density.noise[at]))
+    return tuple(name for j, name in enumerate(components) if mask[:, j].all()) or None
 
 
 @dataclass(frozen=True)

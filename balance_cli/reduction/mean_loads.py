@@ -20,12 +20,15 @@ from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
-from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION, REDUNDANCY_CONFIDENCE
+from balance_cli.reduction.untested_loads import sensors_of_channels, untested_means
+from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION as DOF_PER_EQUATION
+from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE, LoadEquations
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 ZERO_SEGMENTS = 16
 """Segments of a zero record. The scatter of their means gives the error of the whole mean, known to 18 % by so many."""
@@ -105,10 +108,11 @@ def linear_mean_loads(
     Raises UserError where the remaining channels do not determine the loads.
     """
     first = next(iter(calibration.trims.values()))
-    mean_loads = _loads_by_trim(first, spectra, health, zero)
+    sensors = sensors_of_channels(calibration.geometry)
+    mean_loads = _loads_by_trim(first, sensors, spectra, health, zero)
     trim = calibration.nearest_trim(_loads_by_component(mean_loads))
     if trim is not first:
-        mean_loads = _loads_by_trim(trim, spectra, health, zero)
+        mean_loads = _loads_by_trim(trim, sensors, spectra, health, zero)
     all_trims = calibration.all_trims
     if all_trims is None:
         return mean_loads
@@ -130,7 +134,11 @@ def _loads_by_component(loads: MeanLoads) -> Mapping[str, float]:
 
 
 def _loads_by_trim(
-    trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None
+    trim: TrimCalibration,
+    sensors: Mapping[str, str],
+    spectra: Harmonics,
+    health: ChannelHealth,
+    zero: ZeroRecord | None,
 ) -> MeanLoads:
     unloaded = CalibrationZeros(trim.offsets.mean(axis=0), trim.offsets)
     reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
@@ -143,14 +151,16 @@ def _loads_by_trim(
     change = T0 @ reading.change
     model_covariance = _model_covariance(trim, reading.rows, change, zero is not None)
     covariance = reading.covariance + model_covariance
-    redundancy, limit = _residual_test(reading, C0, model_covariance, trim)
-    variance = np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0)
+    redundancy, limit, tested_covariance = _residual_test(reading, C0, model_covariance, trim)
+    sigma = np.sqrt(np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0))
+    equations = LoadEquations(C0, reading.change + C0 @ trim.mean_load, tested_covariance, T0)
+    names = [sensors.get(trim.channel_names[row], "") for row in reading.rows]
     return MeanLoads(
         components=trim.components,
         loads=trim.mean_load + change,
-        sigma=np.sqrt(variance),
+        sigma=sigma,
         trim=trim.trim,
-        flags=run_flags(trim.components, zero, redundancy > limit, len(reading.rows) > len(trim.components)),
+        flags=run_flags(zero, redundancy > limit, untested_means(equations, names, limit, sigma)),
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=trim.condition,
@@ -159,8 +169,10 @@ def _loads_by_trim(
 
 def _residual_test(
     reading: MeanReading, C0: Array, model_covariance: Array, trim: TrimCalibration
-) -> tuple[float, float]:
+) -> tuple[float, float, Array]:
     """Return chi-square per degree of freedom of the redundant channels and its limit, for the matrix of a trim.
+
+    And the covariance (c, c) of the readings that it goes by.
 
     The test is made in the directions N that no load reaches, N' C0 = 0. The errors of C0 under one load come from the
     few rows that applied it, so that their covariance has hardly an inverse: its size is kept, and the correlation is
@@ -169,23 +181,26 @@ def _residual_test(
     """
     redundant = len(C0) - C0.shape[1]
     if not trim.rows or redundant <= 0:
-        return mean_load_redundancy(reading.change, C0, reading.covariance + model_covariance)
-    few = reading.dof < DOF_PER_REDUNDANT_EQUATION * redundant
+        covariance = reading.covariance + model_covariance
+        return (*mean_load_redundancy(reading.change, C0, covariance), covariance)
+    few = reading.dof < DOF_PER_EQUATION * redundant
     noise = np.diag(np.diag(reading.covariance)) if few else reading.covariance
     residual = trim.residual_covariance[np.ix_(reading.rows, reading.rows)]
     unit = np.sqrt(np.diag(residual))[:, None]
     N = np.linalg.svd(C0 / unit * trim.calibrated_range)[0][:, C0.shape[1] :] / unit
-    noise, model, residual = (N.T @ part @ N for part in (noise, model_covariance, residual))
-    share = float(np.trace(np.linalg.solve(residual, model))) / redundant
-    sizes = (float(np.trace(np.linalg.solve(residual, noise))) / redundant, share)
+    noise_N, model_N, residual_N = (N.T @ part @ N for part in (noise, model_covariance, residual))
+    share = float(np.trace(np.linalg.solve(residual_N, model_N))) / redundant
+    sizes = (float(np.trace(np.linalg.solve(residual_N, noise_N))) / redundant, share)
     dof = sum(sizes) ** 2 / sum(size**2 / n for size, n in zip(sizes, (reading.dof, trim.dof), strict=True))
-    return mean_load_redundancy(N.T @ reading.change, np.zeros((redundant, 0)), noise + share * residual, dof, few)
+    total = noise_N + share * residual_N
+    test = mean_load_redundancy(N.T @ reading.change, np.zeros((redundant, 0)), total, dof, few)
+    return (*test, noise + share * residual)
 
 
-def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool, tested: bool) -> tuple[str, ...]:
-    """Flags (m,) that all components of a run have in common."""
-    words = (NO_ZERO if zero is None else "", REDUNDANCY if misfit else "", "" if tested else UNTESTED)
-    return (join_flags(words),) * len(components)
+def run_flags(zero: ZeroRecord | None, misfit: bool, untested: Mask) -> tuple[str, ...]:
+    """Flags (m,) of the components of a run: those that all have in common, and which of them (m,) are untested."""
+    words = (NO_ZERO if zero is None else "", REDUNDANCY if misfit else "")
+    return tuple(join_flags((*words, UNTESTED if word else "")) for word in untested.tolist())
 
 
 def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array, counts_from_zero: bool) -> Array:

@@ -32,6 +32,8 @@ from balance_cli.reduction.mean_loads import (
     run_flags,
     undetermined_loads_error,
 )
+from balance_cli.reduction.untested_loads import sensors_of_channels, untested_means
+from balance_cli.reduction.weighted_least_squares import LoadEquations
 from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
 
@@ -121,12 +123,17 @@ def _describe_loads(
         variance = tested + np.diag(untested.load_covariance(model, loads, rows)[0])
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     outside = untested_components(model.components, variance, tested)
+    sigma = np.sqrt(variance * (redundancy if redundancy > limit else 1.0))
+    W = np.linalg.inv(total_covariance)
+    equations = LoadEquations(J, reading.change, total_covariance, np.linalg.solve(J.T @ W @ J, J.T @ W))
+    sensors = sensors_of_channels(calibration.geometry)
+    names = [sensors.get(model.channel_names[row], "") for row in rows]
     mean_loads = MeanLoads(
         components=model.components,
         loads=loads[0] - all_trims.level_weight_loads,
-        sigma=np.sqrt(variance * (redundancy if redundancy > limit else 1.0)),
+        sigma=sigma,
         trim=ALL_TRIMS,
-        flags=run_flags(model.components, zero, redundancy > limit, len(rows) > len(model.components)),
+        flags=run_flags(zero, redundancy > limit, untested_means(equations, names, limit, sigma)),
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),

@@ -85,18 +85,31 @@ def unnoticed_errors(equations: LoadEquations, sensors: Sequence[str], degrees: 
     `sensors` names the source of each complex row; `degrees` and `limit` (h,) are those of the residual test, which
     shows an error in half of the cases where chi-square is then expected at its limit.
     """
-    names = tuple(dict.fromkeys(sensors))
-    belongs = np.array([[sensor == name for sensor in (*sensors, *sensors)] for name in names], float)
-    error = belongs * equations.readings[:, None, :]
+    error = readings_of_sensors((*sensors, *sensors)) * equations.readings[:, None, :]
     change = np.einsum("hba,hsa->hsb", equations.estimator, error)
     m = change.shape[2] // 2
+    noticed = noticed_share(equations, error, degrees, limit)
+    size = np.minimum(noticed, SENSOR_ERROR)[:, :, None] * np.hypot(change[..., :m], change[..., m:])
+    worst = np.argmax(size, axis=1)
+    names = tuple(dict.fromkeys(sensors))
+    return UnnoticedErrors(names, worst, np.take_along_axis(size, worst[:, None, :], axis=1)[:, 0])
+
+
+def readings_of_sensors(sensors: Sequence[str]) -> Array:
+    """Return 1 (s, a) where a reading is that of a sensor, 0 elsewhere; `sensors` names the source of each reading."""
+    return np.array([[sensor == name for sensor in sensors] for name in dict.fromkeys(sensors)], float)
+
+
+def noticed_share(equations: LoadEquations, error: Array, degrees: Array, limit: Array) -> Array:
+    """Return the share (h, s) of errors (h, s, a) of readings at which chi-square is expected at its limit.
+
+    `degrees` and `limit` (h,) are those of the residual test. Infinite where there is none, or no error changes it.
+    """
     tested = degrees > 0
     excess = np.where(tested, (np.where(tested, limit, 1.0) - 1.0) * degrees, np.inf)
     with np.errstate(divide="ignore"):
-        noticed = np.sqrt(excess[:, None] / residual_chi2(equations.T, error.swapaxes(1, 2), equations.covariance))
-    size = np.minimum(noticed, SENSOR_ERROR)[:, :, None] * np.hypot(change[..., :m], change[..., m:])
-    worst = np.argmax(size, axis=1)
-    return UnnoticedErrors(names, worst, np.take_along_axis(size, worst[:, None, :], axis=1)[:, 0])
+        chi2 = residual_chi2(equations.T, error.swapaxes(1, 2), equations.covariance)
+        return np.asarray(np.sqrt(excess[:, None] / chi2))
 
 
 def join_harmonics(parts: Sequence[UnnoticedErrors | None]) -> UnnoticedErrors | None:

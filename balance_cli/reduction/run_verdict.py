@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from balance_cli.reduction.flags import (
     EXTRAPOLATED,
     FILTER_CONTRADICTED,
@@ -56,7 +58,43 @@ def run_verdict(run: RunLoads) -> RunVerdict:
     contradicted = sum(any(word in flags for word in CONTRADICTIONS) for row in run.flags for flags in row)
     word = DO_NOT_USE if contradicted >= CONTRADICTED_SHARE * rows > 0 else WITH_CARE if counts or run.left_out else USE
     order = sorted(counts, key=lambda flag: flag not in CONTRADICTIONS)
-    reasons = [f"{MEANINGS[flag]} ({flag}: {counts[flag]} of {rows} rows)" for flag in order]
+    reasons = [f"{_meaning(flag, run)} ({flag}: {counts[flag]} of {rows} rows)" for flag in order]
     if run.left_out:
         reasons.append(f"channels are left out ({', '.join(run.left_out)})")
     return RunVerdict(word, tuple(reasons))
+
+
+def untested_loads(run: RunLoads) -> tuple[str, ...]:
+    """Return the loads of a run that are untested, in words; empty where all are, or none is.
+
+    Named are components that rest on one sensor at all harmonics, and means.
+    """
+    untested = np.array([[UNTESTED in words for words in row] for row in run.flags])
+    if not untested.any():
+        return ()
+    measured = np.array([[NOT_MEASURED not in words for words in row] for row in run.flags])
+    whole = (untested | ~measured).all(axis=0)
+    if whole.all():
+        return ()
+    of_mean = untested[0] & ~untested[1:].any(axis=0)
+    means = [run.components[j] for j in np.flatnonzero(of_mean)]
+    alone = {
+        j: f"{run.components[j]} ({sensor} alone)" for j in np.flatnonzero(whole) if (sensor := _sensor_of(run, j))
+    }
+    others = any(untested[:, j].any() and not of_mean[j] and j not in alone for j in range(len(of_mean)))
+    first = [f"the mean{'s' if len(means) > 1 else ''} of {' and '.join(means)}"] if means else []
+    return (*first, *alone.values(), *(["some other loads"] if others else []))
+
+
+def _sensor_of(run: RunLoads, j: np.intp) -> str:
+    """Return the sensor of which errors change a component most at all harmonics; empty where there are several."""
+    errors = run.unnoticed
+    sensors = set() if errors is None else {errors.sensors[place] for place in errors.sensor[:, j]}
+    return sensors.pop() if len(sensors) == 1 else ""
+
+
+def _meaning(flag: str, run: RunLoads) -> str:
+    """Return what a flag says of the rows of a run."""
+    loads = untested_loads(run) if flag == UNTESTED else ()
+    names = " and ".join(filter(None, [", ".join(loads[:-1]), *loads[-1:]]))
+    return f"no redundant sensor tests {names}" if loads else MEANINGS[flag]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural
-from balance_cli.reduction.flags import REDUNDANCY, SEPARATOR, trust_word
+from balance_cli.reduction.flags import REDUNDANCY, SEPARATOR, UNTESTED, join_flags, trust_word
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 from balance_cli.signals.distributions import poisson
 
@@ -54,7 +54,8 @@ class RunSpectra(ResultView):
     noise (k, m) the part that the noise of the channels has in it; redundancy (k,) chi-square per degree of freedom of
     the residual test with its limit; flags (k,); `resolution_hz`: noise bandwidth of a frequency; `averages`:
     independent spectra in the mean; interval [s] that was used; `load_error` {component applied: rms(reduced - applied)
-    / rms(applied) over the band} of a check run.
+    / rms(applied) over the band} of a check run; `untested`: components that rest on one sensor, None where all or none
+    do.
     """
 
     run: str
@@ -73,6 +74,7 @@ class RunSpectra(ResultView):
     interval: tuple[float, float]
     left_out: dict[str, str]
     load_error: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
+    untested: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def band_rms(self) -> dict[str, tuple[float, float]]:
@@ -88,6 +90,11 @@ class RunSpectra(ResultView):
         return {name: (float(rms[i]), float(spread[i] / (2.0 * rms[i]))) for i, name in enumerate(self.components)}
 
     @property
+    def _component_flags(self) -> list[str]:
+        """What each component has at all frequencies beside their own flags."""
+        return [UNTESTED if name in (self.untested or ()) else "" for name in self.components]
+
+    @property
     def peak_hz(self) -> dict[str, float]:
         """{component: frequency of its largest density}."""
         peaks = self.frequency_hz[np.argmax(self.density, axis=0)]
@@ -96,7 +103,7 @@ class RunSpectra(ResultView):
     @property
     def trust(self) -> str:
         """The word of trust of the run: `contradicted` only where more frequencies are than chance explains."""
-        words = [flag.split(SEPARATOR) for flag in self.flags]
+        words = [flag.split(SEPARATOR) for flag in (*self.flags, *(UNTESTED for _ in self.untested or ()))]
         rejected = sum(REDUNDANCY in flags for flags in words)
         by_chance = float(poisson.ppf(REDUNDANCY_CONFIDENCE, (1.0 - REDUNDANCY_CONFIDENCE) * len(self.flags)))
         ignored = (REDUNDANCY,) if rejected <= NEIGHBORS_REJECTED * by_chance else ()
@@ -122,7 +129,7 @@ class RunSpectra(ResultView):
             self.sigma.T.ravel(),
             self.noise.T.ravel(),
             np.tile(self.redundancy, m),
-            list(self.flags) * m,
+            [join_flags((flag, word)) for word in self._component_flags for flag in self.flags],
         )
         return pd.DataFrame(dict(zip(SPECTRUM_COLUMNS, columns, strict=True)))
 

@@ -26,6 +26,7 @@ from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
 from balance_cli.reduction.suspect_channels import contradicting_channels, explain_residuals
+from balance_cli.reduction.untested_loads import harmonics_to_reject, row_sensors, untested_harmonics
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
 from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine
@@ -39,9 +40,6 @@ MODEL_ERROR_SHARE = 0.1
 
 A hub load known to 10 % does not serve for a comparison of rotors; below, sigma tells enough.
 """
-FEWEST_REJECTED, REJECTED_SHARE = 3, 1.0 / 3.0
-"""Harmonics, and share of them, at which the residual test rejects the response, from which it is rejected at all: the
-others have less redundancy or more noise. By chance three of eight are one in ten million."""
 LEAST_LEAK = 0.3
 """What may leak into a load, over its standard deviation, that flags it: together they are 5 % larger than that. In the
 channel where the line is strongest it is so many times the noise, and so it is taken to be in the loads."""
@@ -191,7 +189,7 @@ def _untested_loads(reduced: ReducedRecord) -> Mask:
     m = reduced.sigma.shape[1]
     has_redundant_sensor = sensor_count(reduced.geometry, reduced.record.health.live) > m
     untested = (reduced.solution.degrees <= 0) | (not has_redundant_sensor)
-    return _below_mean(np.repeat(untested[:, None], m, axis=1))
+    return _below_mean(untested[:, None] | _rest_on_one_sensor(reduced))
 
 
 def _rejected_loads(solution: SolvedLoads) -> Mask:
@@ -232,10 +230,20 @@ def sensor_count(geometry: Geometry, live: tuple[str, ...]) -> int:
     return len({channel.source for channel in channels})
 
 
+def _rest_on_one_sensor(reduced: ReducedRecord) -> Mask:
+    """Return which loads (n, m) rest on one sensor."""
+    record, solution, m = reduced.record, reduced.solution, reduced.sigma.shape[1]
+    rows = reduced.source.channel_combination(record.spectra.frequency_hz[1:2], record.health.live)
+    names = row_sensors(record.health.live, rows.rows, reduced.geometry, rows.rows_are_channels)
+    variance = np.diagonal(solution.inflated_covariance, axis1=1, axis2=2)
+    sigma = np.sqrt(np.maximum(variance[:, :m], variance[:, m:]))
+    return untested_harmonics(solution.equations, names, solution.degrees, solution.limit, sigma)
+
+
 def _response_is_rejected(solution: SolvedLoads) -> bool:
     """Return whether the residual test rejects the response at so many harmonics that no other one can be trusted."""
     rejected = int(np.count_nonzero(solution.misfit))
-    return rejected >= max(FEWEST_REJECTED, REJECTED_SHARE * len(solution.misfit))
+    return rejected >= harmonics_to_reject(len(solution.misfit))
 
 
 def _model_error_matters(solution: SolvedLoads) -> Mask:

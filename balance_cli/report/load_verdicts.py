@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 from balance_cli.io.run_messages import message_lines, messages_of_runs
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
+from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict, untested_loads
 from balance_cli.report.blocks import Details, PageBlock, Row, Table, TableCell, WarningText
 from balance_cli.report.load_figures import wind_runs
+from balance_cli.report.number_format import join_names
 from balance_cli.report.recommendation import rank_methods, tested_harmonics
 from balance_cli.report.sources import Source
 from balance_cli.report.wind_on import harmonics_above_limit
@@ -68,4 +69,7 @@ def residual_test_figure(sources: Sequence[Source[HubLoads]]) -> Iterator[tuple[
     caption = f"wind-on harmonics that fail the residual test, {shown.label}"
     if tested < rows:
         caption += f"; {rows - tested} not tested"
+    loads = list(dict.fromkeys(load for run in runs for load in untested_loads(run)))
+    if loads:
+        caption += f"; untested: {join_names(loads)}"
     yield f"{failing} of {tested}", caption, mark

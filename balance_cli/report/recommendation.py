@@ -9,7 +9,7 @@ import numpy as np
 
 from balance_cli.reduction.flags import UNTESTED
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.reduction.run_verdict import CONTRADICTIONS, DO_NOT_USE, run_verdict
+from balance_cli.reduction.run_verdict import CONTRADICTIONS, DO_NOT_USE, run_verdict, untested_loads
 from balance_cli.report.check_errors import check_runs, overall_error
 from balance_cli.report.load_figures import wind_runs
 from balance_cli.report.number_format import capitalize_first, format_percent, join_names
@@ -126,6 +126,8 @@ def _residual_test_reason(recommendation: Recommendation) -> list[str]:
     if not tested and not failing:
         return ["its harmonics are not tested, because no sensor is redundant"]
     left = f", {rows - tested} {'is' if rows - tested == 1 else 'are'} not tested" if tested < rows else ""
+    loads = list(dict.fromkeys(load for run in runs for load in untested_loads(run)))
+    left += f"; no redundant sensor tests {join_names(loads)}" if loads else ""
     names = list(recommendation.runs)
     where = f" in {join_names(names) if len(names) <= MOST_NAMED else f'these {len(names)} runs'}"
     if not failing:

@@ -14,13 +14,13 @@ from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import NOT_MEASURED, SEPARATOR
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
+from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict, untested_loads
 from balance_cli.report.azimuth import waveform
 from balance_cli.report.blocks import Row, RunIndex, Table, TableCell
 from balance_cli.report.number_format import MISSING_VALUE, value_and_sigma_text
 from balance_cli.report.plot_data import script_json
 from balance_cli.report.recommendation import Recommendation
-from balance_cli.report.trust_text import trust_text
+from balance_cli.report.trust_text import NOT_TESTED, trust_text
 
 MARKS = {USE: "good", DO_NOT_USE: "bad"}
 CURVE_WIDTH, CURVE_HEIGHT = 100.0, 24.0
@@ -57,7 +57,7 @@ def _row(loads: HubLoads, run: RunLoads, names: Sequence[str]) -> Row:
     cells = [
         TableCell(run.run, mark="name"),
         TableCell(verdict.word, mark=f"text {MARKS.get(verdict.word, '')}".strip()),
-        TableCell(worst, mark="text"),
+        TableCell(worst, ", ".join(untested_loads(run)) if worst == NOT_TESTED else "", "text"),
         TableCell(f"{run.frequency_hz[1]:.4g}" if len(run.frequency_hz) > 1 else ""),
     ]
     blade = _blade_row(loads.geometry, run)

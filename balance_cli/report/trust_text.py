@@ -13,6 +13,7 @@ from balance_cli.reduction.flags import (
 )
 
 DOUBTS = (NOT_STEADY, EXTRAPOLATED, UNMODELLED_LINE)
+NOT_TESTED = "not tested"
 
 
 def trust_text(flags: str) -> str:
@@ -21,4 +22,4 @@ def trust_text(flags: str) -> str:
     given = flags.split(SEPARATOR)
     if word == "doubtful":
         return next((doubt for doubt in DOUBTS if doubt in given), word)
-    return {TRUSTED: "tested and good", UNTESTED: "not tested"}.get(word, word)
+    return {TRUSTED: "tested and good", UNTESTED: NOT_TESTED}.get(word, word)

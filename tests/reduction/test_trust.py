@@ -38,7 +38,12 @@ def test_flags_have_one_order_and_each_stands_once():
 
 
 def test_a_good_record_has_no_flag_but_the_missing_zero(campaign, calibration, identified, check):
-    assert reduced_words(reduce_run(check, campaign.geometry, calibration, model_source(identified))) == {"no zero"}
+    found = reduce_run(check, campaign.geometry, calibration, model_source(identified))
+    assert reduced_words(found) == {"no zero", "untested"}
+    untested = {
+        (name, h) for h in range(9) for j, name in enumerate(found.components) if "untested" in found.flags[h][j]
+    }
+    assert {("Mz", h) for h in range(9)} <= untested <= {("Fx", 0), ("My", 0), *(("Mz", h) for h in range(9))}
 
 
 def test_two_channels_of_a_cell_are_one_sensor(campaign):

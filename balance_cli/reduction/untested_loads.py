@@ -1,0 +1,118 @@
+"""Loads that rest on one sensor: nothing contradicts them whatever it reads, though other loads have redundant sensors.
+
+A sensor that is dead, doubled or reversed has an error of 100 or 200 % of what it should read, at all harmonics alike.
+Where the residual test does not show that, each load that the error changes by the half or more is untested. A torque
+meter beside the shaft is the only one that tells Mz: reversed, it had given loads 784 standard deviations off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.reduction.reliability import noticed_share, readings_of_sensors
+from balance_cli.reduction.weighted_least_squares import LoadEquations
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DEAD, REVERSED = 1.0, 2.0
+"""Errors of a dead (or doubled) and of a reversed sensor, as shares of what it should read. A smaller one that is
+noticed shows that the sensor is tested."""
+UNTESTED_CHANGE = 0.5
+"""Change of a load by such an error, as a share of it, from which it is untested: its larger part rests on readings
+that nothing contradicts."""
+LEAST_CHANGE_SIGMAS = 10.0
+"""Change of a load, over its standard deviation, from which it counts. Of two equal sensors of one load the test shows
+the failure of one from 7 to 10 standard deviations on: no redundancy tests smaller loads."""
+TEST_LOAD_SIGMAS = 100.0
+"""A load, over its standard deviation, at which sensors are examined where the load is smaller: one known to 1 %."""
+FEWEST_REJECTED, REJECTED_SHARE = 3, 1.0 / 3.0
+"""Harmonics, and share of them, at which the residual test rejects the response, from which it is rejected at all: the
+others have less redundancy or more noise. By chance three of eight are one in ten million."""
+
+
+def sensors_of_channels(geometry: Geometry) -> dict[str, str]:
+    """Return what each channel measures, by its name: the channel itself where that is unknown."""
+    return {channel.name: channel.source or channel.name for channel in geometry.channels}
+
+
+def row_sensors(
+    live: Sequence[str], rows: Sequence[int], geometry: Geometry, rows_are_channels: bool
+) -> tuple[str, ...]:
+    """Return what each row of the equations measures; a row that is formed from several channels counts as one."""
+    sources = sensors_of_channels(geometry)
+    return tuple(sources[name] for name in live) if rows_are_channels else tuple(str(row) for row in rows)
+
+
+def untested_harmonics(
+    equations: LoadEquations, sensors: Sequence[str], degrees: Array, limit: Array, sigma: Array
+) -> Mask:
+    """Return which harmonic loads (h, m) rest on one sensor that no other one tests.
+
+    `sensors` names the source of each complex reading; `degrees` and `limit` (h,) are those of the residual test; sigma
+    (h, m) that of the loads. An error is noticed where the test shows it, and everywhere where it does at so many
+    harmonics that the response is rejected.
+    """
+    both = (*sensors, *sensors)
+    error = readings_of_sensors(both) * equations.readings[:, None, :]
+    noticed = noticed_share(equations, error, degrees, limit)
+    fewest = harmonics_to_reject(len(noticed))
+    if fewest <= len(noticed):
+        noticed = np.minimum(noticed, np.sort(noticed, axis=0)[fewest - 1])
+    return _untested(equations, both, noticed, (degrees, limit), sigma, _amplitude)
+
+
+def harmonics_to_reject(harmonics: int) -> int:
+    """Return at how many of the harmonics the residual test rejects a response that is rejected at all of them."""
+    return int(np.ceil(max(FEWEST_REJECTED, REJECTED_SHARE * harmonics)))
+
+
+def untested_means(equations: LoadEquations, sensors: Sequence[str], limit: float, sigma: Array) -> Mask:
+    """Return which mean loads (m,) rest on one sensor that no other one tests.
+
+    The `equations` are real, of one set of readings (a,), and `limit` is that of their residual test; sigma (m,). All
+    are untested where no sensor is redundant.
+    """
+    count = len(set(sensors)) - equations.T.shape[1]
+    if count <= 0:
+        return np.ones(len(sigma), bool)
+    one = LoadEquations(*(getattr(equations, name)[None] for name in ("T", "readings", "covariance", "estimator")))
+    test = np.array([float(len(sensors) - equations.T.shape[1])]), np.array([limit])
+    error = readings_of_sensors(sensors) * one.readings[:, None, :]
+    return np.asarray(_untested(one, sensors, noticed_share(one, error, *test), test, sigma[None], np.abs)[0])
+
+
+def _amplitude(loads: Array) -> Array:
+    """Return the amplitudes (..., m) of loads (..., 2m) that are real and imaginary parts."""
+    m = loads.shape[-1] // 2
+    return np.hypot(loads[..., :m], loads[..., m:])
+
+
+def _untested(
+    equations: LoadEquations,
+    sensors: Sequence[str],
+    noticed: Array,
+    test: tuple[Array, Array],
+    sigma: Array,
+    amplitude: Callable[[Array], Array],
+) -> Mask:
+    """Return which loads (h, m) rest on a sensor whose error is `noticed` at a share (h, s) that is too large for them.
+
+    Either the readings show it, or those of one load alone: a load that is zero in this run is tested where the same
+    load of TEST_LOAD_SIGMAS would be.
+    """
+    T, G, (h, m) = equations.T, equations.estimator, sigma.shape
+    belongs = readings_of_sensors(sensors)
+    share = np.where(noticed < DEAD, 0.0, np.minimum(noticed, REVERSED))[:, :, None]
+    change = amplitude(np.einsum("hba,sa,ha->hsb", G, belongs, equations.readings))
+    size = amplitude(np.einsum("hba,ha->hb", G, equations.readings))
+    wrong = share * change > np.maximum(UNTESTED_CHANGE * size, LEAST_CHANGE_SIGMAS * sigma)[:, None, :]
+    unit_loads = np.einsum("sa,ham->hsma", belongs, T[..., :m])
+    change = amplitude(np.einsum("hba,hsma->hsmb", G, unit_loads)).diagonal(axis1=2, axis2=3)
+    errors = (TEST_LOAD_SIGMAS * sigma[:, None, :, None] * unit_loads).reshape(h, -1, T.shape[1])
+    seen = noticed_share(equations, errors, *test).reshape(h, -1, m)
+    return np.asarray(np.any(wrong | (np.minimum(share, seen) * change > UNTESTED_CHANGE), axis=1))
