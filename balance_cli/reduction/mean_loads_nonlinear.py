@@ -126,8 +126,7 @@ def _describe_loads(
     sigma = np.sqrt(variance * (redundancy if redundancy > limit else 1.0))
     W = np.linalg.inv(total_covariance)
     equations = LoadEquations(J, reading.change, total_covariance, np.linalg.solve(J.T @ W @ J, J.T @ W))
-    sensors = sensors_of_channels(calibration.geometry)
-    names = [sensors.get(model.channel_names[row], "") for row in rows]
+    names = [sensors_of_channels(calibration.geometry).get(model.channel_names[row], "") for row in rows]
     mean_loads = MeanLoads(
         components=model.components,
         loads=loads[0] - all_trims.level_weight_loads,

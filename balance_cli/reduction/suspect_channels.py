@@ -20,6 +20,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.reduction.harmonic_loads import LoadProblem, harmonic_loads
 from balance_cli.reduction.response_sources import ResponseSource, circular_real, stacked_real
 from balance_cli.reduction.rotor_record import RotorRecord
+from balance_cli.reduction.untested_loads import LEAST_MISFIT
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, redundant_directions, residual_chi2
 
 Array = NDArray[np.float64]
@@ -27,10 +28,6 @@ ComplexArray = NDArray[np.complex128]
 
 REJECTED_SHARE = 0.5
 """Share of rejected harmonics from which a channel is looked for: a fault of a channel shows in all of them."""
-LEAST_MISFIT = 10.0
-"""Chi-square per degree of freedom, by the noise of the channels and the errors of the response, from which a mistake
-is sought. Gusts do not reach it: the response explains what they make. In short records the residual test takes them
-for noise where a mistake keeps the response from that."""
 EXPLAINED_SHARE = 0.2
 """Share of the harmonics that may be rejected without the mistake, or without the channels that are to blame."""
 REMAINING_SHARE = 0.05

@@ -21,7 +21,7 @@ from balance_cli.reduction.flags import (
 )
 from balance_cli.reduction.harmonic_loads import LoadProblem
 from balance_cli.reduction.record_lines import lines_of_record
-from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.response_sources import ResponseSource, circular_real
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
@@ -237,7 +237,12 @@ def _rest_on_one_sensor(reduced: ReducedRecord) -> Mask:
     names = row_sensors(record.health.live, rows.rows, reduced.geometry, rows.rows_are_channels)
     variance = np.diagonal(solution.inflated_covariance, axis1=1, axis2=2)
     sigma = np.sqrt(np.maximum(variance[:, :m], variance[:, m:]))
-    return untested_harmonics(solution.equations, names, solution.degrees, solution.limit, sigma)
+    covariance, problem = None, reduced.problem
+    if rows.rows_are_channels and reduced.source.response_error is None and not reduced.source.is_contradicted:
+        loads = np.concatenate([solution.loads.real, solution.loads.imag], axis=1)
+        covariance = circular_real(problem.weighting) * (4.0 / record.spectra.samples)
+        covariance = covariance + problem.response_covariance(loads)
+    return untested_harmonics(solution.equations, names, solution.degrees, solution.limit, sigma, covariance)
 
 
 def _response_is_rejected(solution: SolvedLoads) -> bool:

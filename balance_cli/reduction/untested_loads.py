@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.reliability import noticed_share, readings_of_sensors
-from balance_cli.reduction.weighted_least_squares import LoadEquations
+from balance_cli.reduction.weighted_least_squares import LoadEquations, residual_chi2
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -30,6 +30,10 @@ LEAST_CHANGE_SIGMAS = 10.0
 the failure of one from 7 to 10 standard deviations on: no redundancy tests smaller loads."""
 TEST_LOAD_SIGMAS = 100.0
 """A load, over its standard deviation, at which sensors are examined where the load is smaller: one known to 1 %."""
+LEAST_MISFIT = 10.0
+"""Chi-square per degree of freedom, by the noise of the channels and the errors of the response, from which a mistake
+in the channels is sought, of all harmonics together. Gusts do not reach it: the response explains what they make. In
+short records the residual test takes them for noise where a mistake keeps the response from that."""
 FEWEST_REJECTED, REJECTED_SHARE = 3, 1.0 / 3.0
 """Harmonics, and share of them, at which the residual test rejects the response, from which it is rejected at all: the
 others have less redundancy or more noise. By chance three of eight are one in ten million."""
@@ -49,13 +53,19 @@ def row_sensors(
 
 
 def untested_harmonics(
-    equations: LoadEquations, sensors: Sequence[str], degrees: Array, limit: Array, sigma: Array
+    equations: LoadEquations,
+    sensors: Sequence[str],
+    degrees: Array,
+    limit: Array,
+    sigma: Array,
+    channel_covariance: Array | None = None,
 ) -> Mask:
     """Return which harmonic loads (h, m) rest on one sensor that no other one tests.
 
     `sensors` names the source of each complex reading; `degrees` and `limit` (h,) are those of the residual test; sigma
     (h, m) that of the loads. An error is noticed where the test shows it, and everywhere where it does at so many
-    harmonics that the response is rejected.
+    harmonics that the response is rejected. `channel_covariance` (h, a, a) of the readings by the noise of
+    the channels themselves: with it, an error is noticed that the search for mistakes in the channels finds.
     """
     both = (*sensors, *sensors)
     error = readings_of_sensors(both) * equations.readings[:, None, :]
@@ -63,6 +73,10 @@ def untested_harmonics(
     fewest = harmonics_to_reject(len(noticed))
     if fewest <= len(noticed):
         noticed = np.minimum(noticed, np.sort(noticed, axis=0)[fewest - 1])
+    if channel_covariance is not None and degrees.sum() > 0:
+        chi2 = residual_chi2(equations.T, error.swapaxes(1, 2), channel_covariance).sum(axis=0)
+        with np.errstate(divide="ignore"):
+            noticed = np.minimum(noticed, np.sqrt(LEAST_MISFIT * degrees.sum() / chi2))
     return _untested(equations, both, noticed, (degrees, limit), sigma, _amplitude)
 
 

@@ -120,3 +120,13 @@ def test_spectra_of_a_component_that_rests_on_one_sensor_are_untested(campaign, 
     assert len(flagged) == len(found.frequency_hz)
     without = replace(found, flags=("",) * len(found.flags))
     assert without.trust == "untested" and replace(without, untested=None).trust == "good"
+
+
+def test_in_short_records_the_search_for_mistakes_tests_sensors_that_the_residual_test_does_not(response):
+    both = response.copy()
+    both[:, 4, 1] = 0.7
+    solution = solved(both, (2.0, 1.0))
+    variance = np.diagonal(solution.covariance, axis1=1, axis2=2)[:, :2]
+    given = (solution.equations, SENSORS, solution.degrees, np.full(HARMONICS, 1e15), np.sqrt(variance))
+    assert untested_harmonics(*given)[:, 1].all()
+    assert not untested_harmonics(*given, NOISE).any()
