@@ -13,6 +13,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.system import System
 from balance_cli.model.transient_modes import transient_modes
+from balance_cli.reduction.measured_response import highest_frequency, lowest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.edge_weight import EDGE_REVOLUTIONS
@@ -42,14 +43,12 @@ def with_free_decays(
 ) -> OtherLines:
     """Return the lines, and the free decays of the modes that may still ring in an interval from a revolution on.
 
-    What rings there below the noise of a sample leaks into the harmonics next to it. A response without equations of
-    motion does not tell its modes.
+    What rings there below the noise of a sample leaks into the harmonics next to it. Of a measured response these are
+    the poles: without them sound records of 12 revolutions were up to 18 standard deviations off at 3/rev.
     """
-    if source.system is None:
-        return other
     start = float(azimuth.time_of(np.array(first_revolution)))
     since_start = start + 0.5 * EDGE_REVOLUTIONS / azimuth.mean_rate
-    return replace(other, exponents=_lasting_exponents(source.system, run, since_start), start=start)
+    return replace(other, exponents=_lasting_exponents(source, run, since_start), start=start)
 
 
 def with_high_pass_decays(
@@ -73,15 +72,19 @@ def response_is_constant(
     speed = azimuth.speed(azimuth.time_of(np.arange(first_revolution, azimuth.turns + 1)))
     harmonic = np.arange(1, max(max_harmonic, 1) + 1)
     extremes = np.concatenate([harmonic * speed.min(), harmonic * speed.max()])
+    extremes = np.clip(extremes, lowest_frequency(source), highest_frequency(source))
     slow, fast = np.split(source.at(extremes, run.rotor_speed), 2)
     change = np.linalg.norm(fast - slow, axis=1)
     return bool(np.all(change <= LARGEST_RESPONSE_CHANGE * np.linalg.norm(slow, axis=1)))
 
 
-def _lasting_exponents(system: System, run: Run, time: float) -> tuple[complex, ...]:
+def _lasting_exponents(source: ResponseSource, run: Run, time: float) -> tuple[complex, ...]:
     """Return the eigenvalues [1/s] of the oscillating modes that have not decayed at a time [s]."""
     highest = 0.5 * BELOW_NYQUIST * sample_rate(run)
-    s = _oscillating_modes(system, system.coupled_spin(run.rotor_speed), highest)
+    if source.system is None:
+        s = np.array([pole for pole in source.poles if pole.imag < 2.0 * np.pi * highest], complex)
+    else:
+        s = _oscillating_modes(source.system, source.system.coupled_spin(run.rotor_speed), highest)
     return tuple(s[-s.real < DECAY_TIME_CONSTANTS / time].tolist())
 
 

@@ -77,6 +77,13 @@ class TransferSource(ResponseWithoutModel):
 
         return spin_dependence(self.at_speeds, self.interpolation)
 
+    @cached_property
+    def poles(self) -> tuple[complex, ...]:
+        """Those that the responses determine."""
+        from balance_cli.signals.response.response_poles import response_poles
+
+        return response_poles(self.responses)
+
     @property
     def is_contradicted(self) -> bool:
         """Never: what was measured contains the error that it has."""

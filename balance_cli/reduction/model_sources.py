@@ -64,6 +64,11 @@ class ModelSource:
         """The equations of motion of the model at its estimate, the same for all runs."""
         return identified_system(self.model)
 
+    @property
+    def poles(self) -> tuple[complex, ...]:
+        """None: the equations of motion tell the modes at each rotor speed."""
+        return ()
+
     @cached_property
     def slowest_decay(self) -> float:
         """1 / (zeta omega) of the slowest mode [s], or the time constant of a slower motion that does not oscillate."""

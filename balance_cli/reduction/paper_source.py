@@ -65,6 +65,14 @@ class PaperSource:
         return None
 
     @property
+    def poles(self) -> tuple[complex, ...]:
+        """Those of the modes that oscillate and decay."""
+        modes = self.model.modes
+        oscillating = np.sqrt(np.maximum(1.0 - modes.damping_ratio**2, 0.0))
+        s = 2.0 * np.pi * modes.frequency * (1j * oscillating - modes.damping_ratio)
+        return tuple(s[(s.real < 0.0) & (s.imag > 0.0)].tolist())
+
+    @property
     def slowest_decay(self) -> float:
         """1 / (zeta omega) of the slowest decaying mode [s]."""
         modes = self.model.modes

@@ -63,6 +63,11 @@ class ResponseSource(Protocol):
         ...
 
     @property
+    def poles(self) -> tuple[complex, ...]:
+        """Eigenvalues [1/s] of the oscillating modes, upper half plane, of a response without equations of motion."""
+        ...
+
+    @property
     def slowest_decay(self) -> float:
         """Time constant [s] of the slowest decay of the balance, as far as the source knows it."""
         ...
@@ -161,6 +166,11 @@ class ResponseWithoutModel:
     def system(self) -> System | None:
         """None: there are no equations of motion."""
         return None
+
+    @property
+    def poles(self) -> tuple[complex, ...]:
+        """None: the response does not tell its modes."""
+        return ()
 
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run itself: the response is linear."""

@@ -50,6 +50,11 @@ class TruthSource:
         """None: the truth is known at frequencies only."""
         return None
 
+    @property
+    def poles(self) -> tuple[complex, ...]:
+        """None: the truth is known at frequencies only."""
+        return ()
+
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run itself."""
         return run
