@@ -128,7 +128,7 @@ class SampledWaveform:
         start = np.zeros(len(frequency)) if window is None else window.start
         length = self.samples * self.step if window is None else window.stop - window.start
         count = np.broadcast_to(np.rint(length / self.step).astype(int), frequency.shape)
-        return BinSampling(frequency, start, self.step, count, np.ones(len(frequency)))
+        return BinSampling(frequency, start, self.step, count, np.ones(len(frequency)), frequency)
 
     def filter_gain(self, frequency: float) -> float:
         """Magnitude of the anti-alias filter at the bin nearest to a frequency [Hz]."""
@@ -211,7 +211,8 @@ class RecordWaveform(SampledWaveform):
         bins = self.bin_frequency()
         tone_weight = np.ones(len(bins))
         tone_weight[-1] = 0.0
-        return BinSampling(bins, np.zeros(len(bins)), self.step, np.full(len(bins), self.samples), tone_weight)
+        count = np.full(len(bins), self.samples)
+        return BinSampling(bins, np.zeros(len(bins)), self.step, count, tone_weight, frequency)
 
     def to_bins(self, values: Array) -> ComplexArray:
         """A function of time (n, ...) at the bins (R, ...), after the anti-alias filter; the last is a Hann mean."""

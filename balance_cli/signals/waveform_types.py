@@ -42,7 +42,8 @@ class AnalysisWindow:
 class BinSampling:
     """How each of R bins was sampled: `count` (R,) samples from `start` (R,) [s] on, `step` [s] apart.
 
-    `frequency` (R,) [Hz]; `tone_weight` (R,) is zero for a bin that a steady tone does not reach.
+    `frequency` (R,) [Hz]; `tone_weight` (R,) is zero for a bin that a steady tone does not reach. `lines` (K,) [Hz] are
+    those that the bins make: bins of a record are known beyond its lines.
     """
 
     frequency: Array
@@ -50,6 +51,7 @@ class BinSampling:
     step: float
     count: NDArray[np.intp]
     tone_weight: Array
+    lines: Array
 
 
 class Waveform(Protocol):

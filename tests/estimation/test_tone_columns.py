@@ -5,6 +5,9 @@ import pytest
 
 from balance_cli.estimation.tone_columns import tone_columns
 from balance_cli.signals.waveform_types import BinSampling
+from balance_cli.signals.waveforms import nonperiodic_spectrum_with_waveform
+from balance_cli.simulation import Noise, SweepPlan, simulate_run, true_rig
+from tests.support.rigs import rotor_balance
 
 RATE, COUNT = 200.0, 4170
 BINS = np.arange(26, 708)
@@ -22,7 +25,8 @@ class Unfiltered:
 
 def columns(f):
     frequency = BINS * RATE / COUNT
-    sampling = BinSampling(frequency, np.zeros(len(BINS)), 1 / RATE, np.full(len(BINS), COUNT), np.ones(len(BINS)))
+    count = np.full(len(BINS), COUNT)
+    sampling = BinSampling(frequency, np.zeros(len(BINS)), 1 / RATE, count, np.ones(len(BINS)), frequency)
     return tone_columns(Unfiltered(), sampling, f)
 
 
@@ -33,7 +37,21 @@ def test_a_tone_among_the_bins_has_the_lines_of_its_samples(f):
     np.testing.assert_allclose(columns(f)[0], np.fft.fft(tone, axis=0)[BINS] * 2 / COUNT, atol=1e-9)
 
 
-@pytest.mark.parametrize("f", [50.4, 49.5])
+@pytest.mark.parametrize("f", [50.4, 49.5, 0.9])
 def test_a_tone_beyond_all_bins_has_none(f):
     """A smooth error at the end of the band had passed for its leakage: two channels with 0.4 V of mains, explained."""
     assert not any(part.any() for part in columns(f))
+
+
+def test_a_tone_among_the_bins_beyond_all_lines_of_a_stepped_record_has_none():
+    """Local models keep bins behind the last line: three channels of a sound rig had up to 22 mV there, explained."""
+    geometry = rotor_balance()
+    plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(60.0,), excitation="stepped", period=2.0, periods=5)
+    run, _ = simulate_run(true_rig(geometry), plan, Noise(), 5)
+    spectrum = nonperiodic_spectrum_with_waveform(run, geometry.channel_names, geometry)
+    sampling = spectrum.waveform.bin_sampling(spectrum.frequency, spectrum.window)
+    last, last_bin = spectrum.frequency.max(), sampling.frequency.max()
+    assert last_bin - last > 0.5
+    beyond, among = (tone_columns(spectrum.waveform, sampling, f) for f in (0.5 * (last + last_bin), last - 0.05))
+    assert not any(part.any() for part in beyond)
+    assert all(part.any() for part in among)
