@@ -12,7 +12,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from balance_cli.calibration.result import TrimCalibration
+from balance_cli.campaign.rig.equilibrium import equilibrium
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 
 MOST_OF_RATED = 3.0
 """Calibrated range over the rated load from which the unit is doubtful: balances are proof-loaded to twice at most."""
@@ -54,11 +56,13 @@ def doubtful_units(trim: TrimCalibration, units: tuple[str, ...]) -> Iterator[st
 def scale_evidence(geometry: Geometry, trim: TrimCalibration) -> tuple[str, ...]:
     """What the scale of the loads is held against beside the table itself, in words; empty where nothing is.
 
-    Loads in pounds that a table calls newtons are consistent with themselves. Declared sensitivities contradict them;
-    rated loads only beyond their own factors, and components of different scale among each other.
+    Loads in pounds that a table calls newtons are consistent with themselves. Declared sensitivities contradict them,
+    with stiffness and masses or where the cells that are read balance several loads; rated loads only beyond their own
+    factors, and components of different scale among each other.
     """
     evidence = []
-    if any(channel.measures_mechanics for channel in geometry.channels if channel.name in trim.channel_names):
+    measured = [item.name for item in geometry.channels if item.measures_mechanics and item.name in trim.channel_names]
+    if measured and (not missing_mechanics(geometry) or len(equilibrium(geometry, measured).components) > 1):
         evidence.append("declared sensitivities")
     if trim.rated_load is not None and np.isfinite(trim.rated_load).any():
         evidence.append("rated loads")

@@ -110,6 +110,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     from balance_cli.cli.matrix_files import linear_matrix_text, matrix_file_text, read_matrix_calibration
     from balance_cli.cli.scale_text import scale_evidence_of, scale_text
     from balance_cli.diagnosis.consistency.severity import measured_anyway
+    from balance_cli.diagnosis.consistency.static_units import matrix_unit_findings
     from balance_cli.steps.trim_agreement import trim_findings
 
     choices = _Choices(**options)
@@ -127,7 +128,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
         checks = _select_static_hold_out(session, held_out())
         result = read_matrix_calibration(session, rig, choices.from_matrix, checks)
     _warn(session, result)
-    report_findings(session, trim_findings(result))
+    report_findings(session, (*trim_findings(result), *matrix_unit_findings(result)))
     session.save(output, CALIBRATION_FORMAT, with_findings(session, result))
     if choices.matrix is not None:
         session.write_text(choices.matrix, matrix_file_text(result, choices.matrix))

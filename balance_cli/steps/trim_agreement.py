@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, WARNING, ConsistencyFinding
+from balance_cli.diagnosis.consistency.units import FORCE_UNITS, suggest_units
 
 Array = NDArray[np.float64]
 
@@ -18,7 +19,7 @@ LEAST_CHANGE = 0.01
 LARGEST_SIGMAS = 5.0
 """One in two million by chance; a balance has few pairs of trims."""
 SAME_FACTOR = 0.005
-"""Departure of the factor of a channel from the common one by which it still is that factor."""
+"""Departure of the factor of a channel from the common one, relative to it, by which it still is that factor."""
 FEWEST_CHANNELS = 3
 """Channels with one factor; two may share it by accident."""
 MOST_SHARE = 0.6
@@ -39,10 +40,12 @@ def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, 
         if common is None:
             continue
         factor, channels = common
+        hint = suggest_units(1.0 / factor, FORCE_UNITS)
         channel_text = "all channels" if set(channels) >= set(other.channel_names) else ", ".join(channels)
         text = (
             f"{channel_text} of trim `{other.trim}` read {factor:.4g} times what they read in trim `{first.trim}` "
-            "for the same loads (another amplifier or supply, or loads in another unit?)"
+            "for the same loads (another amplifier or supply, or loads in another unit?"
+            f"{f' {hint}' if hint else ''})"
         )
         findings.append(
             ConsistencyFinding(
@@ -70,10 +73,11 @@ def _common_factor(first: TrimCalibration, other: TrimCalibration) -> tuple[floa
     factors = (before[0] * after[0] / variance).sum(axis=1) / np.where(power > 0.0, power, np.inf)
     limits = LARGEST_SIGMAS / np.sqrt(np.where(power > 0.0, power, np.finfo(float).tiny))
     common = float(np.median(factors))
-    is_common = (np.abs(factors - common) < np.maximum(SAME_FACTOR, limits)) & (np.abs(factors - 1.0) > limits)
+    is_alike = np.abs(factors - common) < np.maximum(SAME_FACTOR * abs(common), limits)
+    is_common = is_alike & (np.abs(factors - 1.0) > limits)
     if abs(common - 1.0) < LEAST_CHANGE or is_common.sum() < max(FEWEST_CHANNELS, MOST_SHARE * len(channels)):
         return None
-    return common, tuple(name for name, is_alike in zip(channels, is_common, strict=True) if is_alike)
+    return common, tuple(name for name, same in zip(channels, is_common, strict=True) if same)
 
 
 def _readings(trim: TrimCalibration, channels: list[str], components: list[str]) -> tuple[Array, Array]:

@@ -19,10 +19,13 @@ from balance_cli.diagnosis.consistency.findings import (
     FREQUENCIES,
     HUB_POSITION,
     NOISE_LEVEL,
+    WARNING,
 )
 from balance_cli.diagnosis.consistency.severity import contradicts_loads
+from balance_cli.io.units import STANDARD_GRAVITY
 from balance_cli.simulation import CampaignPlan, Noise, RotorPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.preset_plans import HIGH_SWEEP_LEVELS
+from tests.diagnosis.test_static_units import calibrated_only, in_units, statics
 from tests.support.rigs import rotor_balance
 
 
@@ -103,3 +106,26 @@ def test_only_what_changes_loads_flags_them() -> None:
     assert not contradicts_loads(CHANNEL_FACTOR, in_all_runs=False, factor=1.2)
     assert not contradicts_loads(CHANNEL_FACTOR, in_all_runs=True, factor=1e3)
     assert not contradicts_loads(FREQUENCIES, in_all_runs=True)
+
+
+def test_static_loads_in_kgf_reach_text_json_and_artefact_of_a_rig_that_is_only_calibrated(tmp_path: Path) -> None:
+    """One constant factor on all that follows: it had passed without a word, sensitivities counted as evidence."""
+    runs = in_units(statics("A"), STANDARD_GRAVITY, STANDARD_GRAVITY)
+    for run in runs:
+        write_run(tmp_path / f"{run.name}.h5", run)
+    files = [str(path) for path in sorted(tmp_path.glob("static-*.h5"))]
+    save_geometry(tmp_path / "g.yaml", calibrated_only("A"))
+    rig = ["-g", str(tmp_path / "g.yaml")]
+    for words in (["check", *rig, *files], ["calibrate", *rig, *files, "-o", str(tmp_path / "c.h5")]):
+        said = call(*words)
+        (finding,) = said["consistency"]
+        assert finding["severity"] == WARNING and finding["text"] in said["warnings"]
+        assert "are they in kgf" in finding["text"]
+        assert "are they in kgf" in CliRunner().invoke(balance, words).stderr
+    assert load_artefact(tmp_path / "c.h5").consistency == (finding["text"],)
+    assert said["scale_evidence"] == ["declared sensitivities"]
+    matrix, again = tmp_path / "m.csv", tmp_path / "again.h5"
+    call("calibrate", *rig, *files, "-o", tmp_path / "c.h5", "--matrix", matrix)
+    said = call("calibrate", *rig, "--from-matrix", matrix, "-o", again)
+    assert any("are they in kgf" in warning for warning in said["warnings"])
+    assert load_artefact(again).consistency

@@ -87,6 +87,8 @@ def test_trims_that_differ_by_one_factor_are_a_warning_and_single_channels_are_n
     assert finding.trims == ("bare", "trim")
     assert finding.factor == pytest.approx(1.03, abs=0.005)
     assert trim_findings(scale(calibration, 1.03, ("trim",), rows=slice(0, 1))) == ()
+    (finding,) = trim_findings(scale(calibration, STANDARD_GRAVITY, ("trim",)))
+    assert "are they in kgf" in finding.text
     (finding,) = trim_findings(scale(calibration, 1.03, ("trim",), rows=slice(0, -1)))
     assert finding.channels == calibration.trims["trim"].channel_names[:-1]
 

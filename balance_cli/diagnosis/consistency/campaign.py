@@ -18,12 +18,14 @@ from balance_cli.diagnosis.consistency.delays import common_delay
 from balance_cli.diagnosis.consistency.descriptions import describe_mistakes
 from balance_cli.diagnosis.consistency.evidence import Evidence, gather_evidence, rig_size
 from balance_cli.diagnosis.consistency.findings import (
+    CHANNELS_FACTOR,
     DELAY,
     DIFFERENT_RIG,
     FAULT,
     FREQUENCIES,
     HUB_POSITION,
     LEVEL,
+    LOAD_FACTOR,
     LOADED_TARE,
     STIFFNESS,
     WARNING,
@@ -33,6 +35,7 @@ from balance_cli.diagnosis.consistency.frequencies import FrequencyMismatch, fre
 from balance_cli.diagnosis.consistency.hub import hub_shift
 from balance_cli.diagnosis.consistency.noise_levels import noise_findings
 from balance_cli.diagnosis.consistency.search import find_mistakes
+from balance_cli.diagnosis.consistency.static_units import static_unit_findings
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, suggest_units
 from balance_cli.model.balance import balance_model
 from balance_cli.model.plate import moment_reference_length
@@ -56,17 +59,21 @@ def campaign_findings(
     """Cross-check the runs with known loads against the geometry and against each other; faults first.
 
     Of runs without loads only the noise is compared, also with `stored_noise` of sweeps that are not given. What the
-    given runs cannot show has no finding; with a geometry without mechanics only the labels of load points are judged.
+    given runs cannot show has no finding; with a geometry without mechanics only labels and units of load points are
+    judged.
     """
     runs = tuple(runs)
     arm = moment_reference_length(geometry.hub)
     tares = [_loaded_tare(run, text) for run in runs if (text := describe_loaded_tares(run, arm))]
     if missing_mechanics(geometry):
-        return tuple(tares)
+        return (*tares, *static_unit_findings(geometry, runs))
     rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
     findings = findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
     beside = {run.name: names for run in runs if (names := points_beside_shaft(run, geometry))}
     findings = tuple(_with_shaft_hint(finding, beside) for finding in findings)
+    if not any(item.kind in (LOAD_FACTOR, CHANNELS_FACTOR) for item in findings):
+        # Forces and moments in units of their own, lbf and in lbf, are several mistakes, none of which explains a run.
+        findings = (*findings, *static_unit_findings(geometry, runs))
     return (*findings, *tares, *noise_findings(runs, geometry.channel_names, stored_noise))
 
 

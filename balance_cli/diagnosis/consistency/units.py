@@ -6,7 +6,14 @@ import numpy as np
 
 from balance_cli.io.units import FOOT, INCH, POUND_FORCE, STANDARD_GRAVITY
 
-FORCE_UNITS = {"kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": POUND_FORCE, "kgf": STANDARD_GRAVITY, "daN": 10.0}
+FORCE_UNITS = {
+    "kN": 1e3,
+    "MN": 1e6,
+    "mN (or in N under a head of kN)": 1e-3,
+    "lbf": POUND_FORCE,
+    "kgf": STANDARD_GRAVITY,
+    "daN": 10.0,
+}
 MOMENT_UNITS = {
     "kN m": 1e3,
     "N mm": 1e-3,
