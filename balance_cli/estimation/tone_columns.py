@@ -18,9 +18,9 @@ SMALL_PHASE = 1e-3
 def tone_columns(waveform: Waveform, sampling: BinSampling, f: float) -> tuple[ComplexArray, ComplexArray]:
     """Lines (k, 2) of cos(2 pi f t) and -sin(2 pi f t) after the anti-alias filter, and their derivatives by f [Hz].
 
-    Zero for a tone beyond all lines: what leaks from it is smooth, as an error of the lines at the end of the band is.
+    Zero for a tone beyond the bins of all lines: what leaks from it is smooth, as an error at the end of the band is.
     """
-    gain = waveform.filter_gain(f) if _is_among_lines(f, sampling) else 0.0
+    gain = waveform.filter_gain(f) if _is_among_bins(f, sampling) else 0.0
     positive, d_positive = _mean_phasors(f, sampling)
     negative, d_negative = _mean_phasors(-f, sampling)
     value = np.stack([positive + negative, 1j * (positive - negative)], axis=1)
@@ -28,9 +28,9 @@ def tone_columns(waveform: Waveform, sampling: BinSampling, f: float) -> tuple[C
     return gain * waveform.combine_bins(value), gain * waveform.combine_bins(derivative)
 
 
-def _is_among_lines(f: float, sampling: BinSampling) -> bool:
-    """Whether the main lobe of a tone reaches the lines, or it lies between them."""
-    moving = sampling.lines[sampling.lines > 0]
+def _is_among_bins(f: float, sampling: BinSampling) -> bool:
+    """Whether the main lobe of a tone reaches the bins of the lines, or it lies between them."""
+    moving = sampling.used[sampling.used > 0]
     if not len(moving):
         return False
     lobe = 1.0 / float((sampling.count[sampling.frequency > 0] * sampling.step).min())

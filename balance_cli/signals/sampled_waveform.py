@@ -212,7 +212,8 @@ class RecordWaveform(SampledWaveform):
         tone_weight = np.ones(len(bins))
         tone_weight[-1] = 0.0
         count = np.full(len(bins), self.samples)
-        return BinSampling(bins, np.zeros(len(bins)), self.step, count, tone_weight, frequency)
+        used = np.unique(self.first[frequency > 0, None] + np.arange(self.weight.shape[1]))
+        return BinSampling(bins, np.zeros(len(bins)), self.step, count, tone_weight, bins[used])
 
     def to_bins(self, values: Array) -> ComplexArray:
         """A function of time (n, ...) at the bins (R, ...), after the anti-alias filter; the last is a Hann mean."""

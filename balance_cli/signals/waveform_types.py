@@ -42,8 +42,8 @@ class AnalysisWindow:
 class BinSampling:
     """How each of R bins was sampled: `count` (R,) samples from `start` (R,) [s] on, `step` [s] apart.
 
-    `frequency` (R,) [Hz]; `tone_weight` (R,) is zero for a bin that a steady tone does not reach. `lines` (K,) [Hz] are
-    those that the bins make: bins of a record are known beyond its lines.
+    `frequency` (R,) [Hz]; `tone_weight` (R,) is zero for a bin that a steady tone does not reach. `used` (U,) [Hz] are
+    the bins that enter a line: those of a record are known farther.
     """
 
     frequency: Array
@@ -51,7 +51,7 @@ class BinSampling:
     step: float
     count: NDArray[np.intp]
     tone_weight: Array
-    lines: Array
+    used: Array
 
 
 class Waveform(Protocol):
