@@ -48,8 +48,10 @@ POLYNOMIAL_ORDERS = ModelOrders(2, 2, 0)
 RATIONAL_WIDTH = 0.132
 """Least width of such a window over the geometric middle of the band, or over the width of a narrow band: several
 half-power widths of a mode of 1 % in the middle; 3 Hz of the band of 4 to 146 Hz by which these models are tested."""
-LEAST_MIDDLE = 0.1
-"""Least middle of a band over its highest frequency: one that begins near zero has no geometric middle."""
+LEAST_MIDDLE = 0.2
+"""Least middle of a band over the frequency below which half of the loads' power lies: a band that begins near zero has
+no geometric middle. Noise reaches the highest frequency, whatever was excited; of a constant density over a decade the
+geometric middle is 0.58 of that frequency, over two decades 0.2."""
 MOST_RESPONSE_LINES = 6000
 """Lines of a response; a longer record is decimated, which keeps files and fits small."""
 LEAST_CHANNEL_DOF = 500
@@ -87,7 +89,7 @@ class LocalModels:
 def fit_local_models(spectrum: ScaledSpectrum, estimator: str = "lrm") -> LocalModels:
     """Fit the sliding windows twice: first to find the noise of channels and loads, then weighted with it."""
     u = spectrum.loads.shape[1]
-    candidates, M, hop = _window_layout(estimator, u, spectrum.frequency)
+    candidates, M, hop = _window_layout(estimator, u, spectrum.frequency, _median_frequency(spectrum))
     first, assigned_lines = sliding_windows(len(spectrum.frequency), M, hop)
     index = first[:, None] + np.arange(M)
     r = np.broadcast_to(np.linspace(-1.0, 1.0, M), index.shape)
@@ -127,13 +129,21 @@ def _with_window_noise(models: LocalModels, lines: int) -> LocalModels:
     return replace(models, noise=replace(models.noise, loads=models.noise.loads + np.diag(variance)))
 
 
-def _window_layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple[ModelOrders, ...], int, int]:
-    """Candidate orders, lines in a window, lines for which a window is used."""
+def _median_frequency(spectrum: ScaledSpectrum) -> float:
+    """Return the frequency [Hz] below which half of the loads' power lies."""
+    power = np.cumsum(np.sum(np.abs(spectrum.loads) ** 2, axis=1))
+    return float(spectrum.frequency[np.searchsorted(power, 0.5 * power[-1])])
+
+
+def _window_layout(
+    estimator: str, inputs: int, frequency: Array, median: float
+) -> tuple[tuple[ModelOrders, ...], int, int]:
+    """Candidate orders, lines in a window, lines for which a window is used; half of the power is below `median`."""
     if estimator == "lpm":
         M = POLYNOMIAL_ORDERS.coefficients(inputs) + POLYNOMIAL_DOF | 1
         return (POLYNOMIAL_ORDERS,), M, 1 + len(frequency) // MOST_RESPONSE_LINES
     least, most = frequency[0], frequency[-1]
-    middle = max(sqrt(least * most), LEAST_MIDDLE * most)
+    middle = max(sqrt(least * most), LEAST_MIDDLE * median)
     width = int(RATIONAL_WIDTH * min(middle, most - least) / (frequency[1] - least))
     M = max(RATIONAL_LINES, width, 3 * max(o.coefficients(inputs) for o in RECORD_MODEL_ORDERS)) | 1
     return RECORD_MODEL_ORDERS, M, M // 3

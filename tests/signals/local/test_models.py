@@ -10,7 +10,7 @@ from balance_cli.signals.local.fit import ModelOrders, WindowedData, fit_windows
 from balance_cli.signals.local.models import _window_layout, fit_local_models
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record, nonperiodic_spectrum
 from balance_cli.signals.local.response import local_response, response_from_models
-from balance_cli.signals.local.scaled_spectrum import record_spectrum
+from balance_cli.signals.local.scaled_spectrum import RATIONAL_LINES, record_spectrum
 from balance_cli.signals.local.window import (
     derivative_rows,
     pole_uncertainty,
@@ -91,8 +91,15 @@ def test_a_rig_that_is_slower_throughout_has_the_same_response():
 def test_windows_of_a_band_that_begins_near_zero_hold_a_mode(first):
     """The lines of the Silverbox end at 251 Hz, 0.03 Hz apart; its mode at 68 Hz has a half-power width of 3 Hz."""
     frequency = 0.0277 * np.arange(first, 9057)
-    _, lines, _ = _window_layout("lrm", 1, frequency)
+    _, lines, _ = _window_layout("lrm", 1, frequency, np.median(frequency))
     assert 3.0 < 0.0277 * lines < 20.0
+
+
+def test_windows_do_not_widen_with_the_noise_above_what_was_excited():
+    """The lines of a positioning axis reach 446 Hz, half of the power of its drive is below 1 Hz."""
+    frequency = 0.04 * np.arange(1, 11092)
+    _, lines, _ = _window_layout("lrm", 1, frequency, 1.0)
+    assert lines == RATIONAL_LINES
 
 
 def test_coherence_is_high_and_below_one(lrm):
