@@ -18,7 +18,17 @@ from balance_cli.reduction.mean_loads import linear_mean_loads, zero_record
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, nonlinear_mean_loads
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.steps.reduce import reduce_run
-from tests.support.nonlinear_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, spectra, static_runs
+from tests.support.nonlinear_rig import (
+    AMPLITUDE,
+    NAMES,
+    RIG,
+    calibration,
+    other_flags,
+    readings,
+    record,
+    spectra,
+    static_runs,
+)
 from tests.support.rigs import CONFIGS
 
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
@@ -36,15 +46,6 @@ def reduced(run, cal, reference=None):
 def with_model(cal, **changes):
     """The calibration with its model changed."""
     return replace(cal, all_trims=replace(cal.all_trims, model=replace(cal.all_trims.model, **changes)))
-
-
-def other_flags(flags):
-    """The flags without `untested` where one sensor tells a mean: the torque meter Mz, cell x Fx, and with it My."""
-    on_one_sensor = [name in ("Fx", "My", "Mz") for name in COMPONENTS]
-    return tuple(
-        "; ".join(word for word in flag.split("; ") if word != "untested" or not alone)
-        for flag, alone in zip(flags, on_one_sensor, strict=True)
-    )
 
 
 def test_mean_loads_are_those_applied_within_sigma():

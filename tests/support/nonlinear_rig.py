@@ -90,3 +90,12 @@ def spectra(volts, noise=0.0):
     covariance = np.broadcast_to(noise**2 * np.eye(c), (1, c, c)).astype(complex)
     mean = np.asarray(volts, complex).reshape(1, c)
     return Harmonics("w", NAMES, np.zeros(1), mean, covariance, np.ones(1), (0.0, 1.0), (0, 1), (0, 1))
+
+
+def other_flags(flags):
+    """The flags without `untested` where one sensor tells a mean: the torque meter Mz, cell x Fx, and with it My."""
+    on_one_sensor = [name in ("Fx", "My", "Mz") for name in COMPONENTS]
+    return tuple(
+        "; ".join(word for word in flag.split("; ") if word != "untested" or not alone)
+        for flag, alone in zip(flags, on_one_sensor, strict=True)
+    )
