@@ -154,9 +154,9 @@ class _Residuals:
         return np.asarray(np.sum(first * np.einsum("hrs,...hs->...hr", self.weight, second), axis=(-2, -1)))
 
     def divisors(self, masks: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """Return the inverse factors (s,) of channels (s, r) that leave least, chi-square with them (s,).
+        """Return the inverse factors of channels (s, r) that leave least, chi-square with them, and its growth.
 
-        And by how much chi-square grows where these channels read nothing instead (s,).
+        Each is (s,); chi-square grows by so much where these channels read nothing instead.
         """
         parts = np.tile(masks, 2)[:, None, :] * self.readings
         slope, power = self.products(parts, self.readings), self.products(parts, parts)

@@ -1,7 +1,7 @@
 """Loads that rest on one sensor: nothing contradicts them whatever it reads, though other loads have redundant sensors.
 
 A sensor that is dead, doubled or reversed has an error of 100 or 200 % of what it should read, at all harmonics alike.
-Where the residual test does not show that, each load that the error changes by the half or more is untested. A torque
+Where the residual test does not show that, each load that the error changes by half or more is untested. A torque
 meter beside the shaft is the only one that tells Mz: reversed, it had given loads 784 standard deviations off.
 """
 
@@ -94,7 +94,12 @@ def untested_means(equations: LoadEquations, sensors: Sequence[str], limit: floa
     count = len(set(sensors)) - equations.T.shape[1]
     if count <= 0:
         return np.ones(len(sigma), bool)
-    one = LoadEquations(*(getattr(equations, name)[None] for name in ("T", "readings", "covariance", "estimator")))
+    one = LoadEquations(
+        T=equations.T[None],
+        readings=equations.readings[None],
+        covariance=equations.covariance[None],
+        estimator=equations.estimator[None],
+    )
     test = np.array([float(len(sensors) - equations.T.shape[1])]), np.array([limit])
     error = readings_of_sensors(sensors) * one.readings[:, None, :]
     return np.asarray(_untested(one, sensors, noticed_share(one, error, *test), test, sigma[None], np.abs)[0])
