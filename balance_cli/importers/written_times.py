@@ -18,6 +18,9 @@ FEWEST_DIGITS, MOST_DIGITS = 2, 6
 """Significant digits; more of them are no coarse rounding."""
 ROUNDING = 1e-6
 """Of a unit of the last digit: decimal numbers are no binary ones."""
+DOUBLE_PRECISION = 1e-9
+"""Of a unit of the last digit: a number of MOST_DIGITS digits has an error of 1e-10 of it in double precision. Seconds
+from 1970 are within 1e-6 of a multiple of ten million for ten seconds, and times of day have six digits to 0.2."""
 ROUND_RATES = tuple(m * 10.0**e for e in range(4, -4, -1) for m in (5.0, 2.0, 1.0))
 """[1/unit of the times] of which a rate may be a multiple, the roundest first."""
 LARGEST_CORRECTION = 0.01
@@ -79,7 +82,7 @@ def _significant_digits(read: ReadBlock, samples: int) -> int | None:
 
 def _has_digits(times: Array, digits: int) -> bool:
     ratio = times / _last_digit(times, digits)
-    return bool(np.all(np.abs(ratio - np.round(ratio)) < ROUNDING * np.maximum(np.abs(ratio), 1.0)))
+    return bool(np.all(np.abs(ratio - np.round(ratio)) < DOUBLE_PRECISION))
 
 
 def _last_digit(times: Array, digits: int) -> Array:
