@@ -90,9 +90,9 @@ def operational_modes(
     columns = [system.channel_names.index(name) for name in names]
     modes = transient_modes(system, record.spin, 0.45 * sample_rate(run), with_derivatives=False)
     s, volts = modes.s[: modes.oscillating], modes.volts[columns, : modes.oscillating]
-    frequency, spectra = _tapered_spectra(read_channels(run, names, first, last), sample_rate(run))
+    frequency, spectra = tapered_spectra(read_channels(run, names, first, last), sample_rate(run))
     noise = np.sqrt(channel_noise(CleanRecord(run, names, ((first, last),)), acquisition))
-    usable = _between_harmonics(frequency, azimuths, record.spectra.interval)
+    usable = between_harmonics(frequency, azimuths, record.spectra.interval)
     estimates = [
         _estimate_mode(k, s, volts / noise[:, None], frequency, spectra / noise, usable) for k in range(len(s))
     ]
@@ -100,7 +100,7 @@ def operational_modes(
     return OperationalModes(np.abs(s) / (2.0 * np.pi), values[:, 0], values[:, 1])
 
 
-def _tapered_spectra(samples: Array, rate: float) -> tuple[Array, ComplexArray]:
+def tapered_spectra(samples: Array, rate: float) -> tuple[Array, ComplexArray]:
     """Return frequencies (k,) [Hz] and the spectra (k, c) of samples (n, c) under the window of Blackman and Harris."""
     from scipy.fft import rfft
 
@@ -109,7 +109,7 @@ def _tapered_spectra(samples: Array, rate: float) -> tuple[Array, ComplexArray]:
     return np.asarray(np.fft.rfftfreq(len(samples), 1.0 / rate)), np.asarray(spectra.T)
 
 
-def _between_harmonics(
+def between_harmonics(
     frequency: Array, azimuths: Sequence[Azimuth], interval: tuple[float, float]
 ) -> NDArray[np.bool_]:
     """Return which bins (k,) no harmonic of a rotor passes."""

@@ -178,7 +178,7 @@ def _residuals(problem: LoadProblem, samples: int, response_error: Array | None 
 
 def _exchanges(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -> Iterator[ChannelMistake]:
     """Yield each exchange of two channels, and of all channels of two cells with as many."""
-    places = _places_by_sensor(live, geometry)
+    places = places_by_sensor(live, geometry)
     swaps = [([i], [j], f"{live[i]} and {live[j]}") for i, j in combinations(range(len(live)), 2)]
     swaps += [
         (places[a], places[b], f"the channels of {a} and those of {b}")
@@ -198,7 +198,7 @@ def _exchanges(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry)
 def _factors(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -> Iterator[ChannelMistake]:
     """Yield for each channel, sensor and group the factor that leaves least: a reversed channel has -1."""
     places = {name: [place] for place, name in enumerate(live)}
-    places |= {f"the channels of {name}": at for name, at in _places_by_sensor(live, geometry).items() if len(at) > 1}
+    places |= {f"the channels of {name}": at for name, at in places_by_sensor(live, geometry).items() if len(at) > 1}
     for name, members in channel_groups(geometry).items():
         if name != ALL:
             places[f"all {name} channels"] = [live.index(member) for member in members if member in live]
@@ -227,7 +227,7 @@ def _undone(mistake: ChannelMistake, problem: LoadProblem) -> LoadProblem:
     return problem.with_readings(np.asarray(np.linalg.inv(mistake.matrix), float))
 
 
-def _places_by_sensor(live: tuple[str, ...], geometry: Geometry) -> dict[str, list[int]]:
+def places_by_sensor(live: tuple[str, ...], geometry: Geometry) -> dict[str, list[int]]:
     """Return the places of the channels of each cell or other sensor, those of one kind first, as declared."""
     places: dict[str, list[int]] = {}
     for channel in geometry.channels:

@@ -26,6 +26,7 @@ from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
 from balance_cli.reduction.suspect_channels import contradicting_channels, explain_residuals
+from balance_cli.reduction.turbulence_evidence import EVIDENCE, mistakes_by_turbulence
 from balance_cli.reduction.untested_loads import harmonics_to_reject, row_sensors, untested_harmonics
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
@@ -40,6 +41,8 @@ MODEL_ERROR_SHARE = 0.1
 
 A hub load known to 10 % does not serve for a comparison of rotors; below, sigma tells enough.
 """
+PASSES_TEST = "the residual test is passed"
+"""Evidence for a mistake in the channels, where redundant ones show it."""
 LEAST_LEAK = 0.3
 """What may leak into a load, over its standard deviation, that flags it: together they are 5 % larger than that. In the
 channel where the line is strongest it is so many times the noise, and so it is taken to be in the loads."""
@@ -52,8 +55,8 @@ class Trust:
     `reached` (n+1, m) are the loads that one of the `lines` reaches; `confounded` the harmonics beside which another
     rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
     `regressed` is the highest harmonic of the regression, `steadiness_note` says why all loads are unsteady;
-    `wrong_channels` is the mistake in the channels that explains what they contradict, `suspect_note` names channels
-    without which they contradict nothing.
+    `wrong_channels` is the mistake in the channels that explains what they contradict, with the `evidence` for it;
+    `suspect_note` names channels without which they contradict nothing.
     """
 
     untested: Mask
@@ -67,13 +70,14 @@ class Trust:
     regressed: int = 0
     steadiness_note: str = ""
     wrong_channels: str = ""
+    evidence: str = PASSES_TEST
     suspect_note: str = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
         """The lines and the channels in words."""
         n = len(self.untested) - 1
-        channels = f"{self.wrong_channels}: undone, the residual test is passed" if self.wrong_channels else ""
+        channels = f"{self.wrong_channels}: undone, {self.evidence}" if self.wrong_channels else ""
         lines = (line.explain(n, self.regressed) + _remedy(line) for line in self.lines)
         pairs = (pair.description for pair in self.pairs)
         return (*filter(None, [channels, *lines, *pairs, self.suspect_note, self.steadiness_note]),)
@@ -138,13 +142,16 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
     pairs = contradicted_pairs(record, geometry, source, reduced.response)
     is_rejected = bool(pairs) or bool(rejected.all())
     mistakes = explain_residuals(reduced.problem, record, geometry, source, is_rejected)
+    by_turbulence: tuple[str, ...] = ()
     suspect = ""
+    if not is_rejected and not _has_redundant_sensor(reduced):
+        by_turbulence = mistakes_by_turbulence(record, geometry, source)
     if is_rejected and not mistakes:
         suspect = contradicting_channels(record, geometry, source, reduced.solution, reduced.response)
     return Trust(
         untested=_untested_loads(reduced),
         unsteady=content.steadiness.unsteady | _below_mean(np.full_like(rejected, bool(record.pulse_doubt))),
-        contradicted=_below_mean(source.is_contradicted | _model_error_matters(reduced.solution)),
+        contradicted=_below_mean(source.is_contradicted | _model_error_matters(reduced.solution)) | bool(by_turbulence),
         rejected=_below_mean(rejected) | bool(pairs) | bool(mistakes),
         lines=content.lines,
         reached=_below_mean(_reached_loads(content.lines, reduced, regressed)),
@@ -152,7 +159,8 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
         pairs=pairs,
         regressed=regressed,
         steadiness_note="; ".join(filter(None, [record.pulse_doubt, content.steadiness.note])),
-        wrong_channels=", or ".join(mistakes),
+        wrong_channels=", or ".join(mistakes or by_turbulence),
+        evidence=EVIDENCE if by_turbulence else PASSES_TEST,
         suspect_note=suspect,
     )
 
@@ -186,10 +194,13 @@ def _nonperiodic_content(reduced: ReducedRecord) -> NonperiodicContent:
 
 def _untested_loads(reduced: ReducedRecord) -> Mask:
     """Return the loads (n+1, m) that no redundant sensor tests; the mean loads are for the static calibration."""
-    m = reduced.sigma.shape[1]
-    has_redundant_sensor = sensor_count(reduced.geometry, reduced.record.health.live) > m
-    untested = (reduced.solution.degrees <= 0) | (not has_redundant_sensor)
+    untested = (reduced.solution.degrees <= 0) | (not _has_redundant_sensor(reduced))
     return _below_mean(untested[:, None] | _rest_on_one_sensor(reduced))
+
+
+def _has_redundant_sensor(reduced: ReducedRecord) -> bool:
+    """Whether there are more sensors than loads."""
+    return sensor_count(reduced.geometry, reduced.record.health.live) > len(reduced.record.components)
 
 
 def _rejected_loads(solution: SolvedLoads) -> Mask:
