@@ -1,7 +1,7 @@
 """What is wrong with the channels of a check run, by its known loads: a sign, a factor, two that are exchanged.
 
-Reduced loads that differ from the known ones tell only that something is wrong. Where one channel or two explain it,
-and all others read what the response makes of the known loads, it is not the response.
+Reduced loads that differ from the known ones tell only that something is wrong. Where one channel or two, or all those
+of one sensor or two, explain it, and all others read what the response makes of the known loads, the response is right.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import FEWEST_HARMONICS, HARMONICS_COMPARED, SAME_PATTERN
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
+from balance_cli.reduction.suspect_channels import places_by_sensor
 from balance_cli.signals.anti_alias import anti_alias_response
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ FEWEST_CHANNELS = 3
 def describe_wrong_channels(
     record: RotorRecord, geometry: Geometry, source: ResponseSource, response: ComplexArray, applied: ComplexArray
 ) -> str | None:
-    """Return in words what one or two channels have that all others have not; None where nothing explains the run.
+    """Return in words what one or two channels, or sensors, have that all others have not; None where nothing does.
 
     `response` (n, rows, 6) at harmonics 1 to n, `applied` (n+1, m) the known loads without the anti-alias filter.
     """
@@ -55,41 +56,48 @@ def describe_wrong_channels(
     size = np.sqrt(np.mean(np.sum(np.abs(T) * np.abs(applied[1 : last + 1, None]), axis=2) ** 2, axis=0))
     if not np.all(size > 0):
         return None
-    return next(_explanations(measured / size, predicted / size, size, names), None)
+    return next(_explanations(measured / size, predicted / size, size, names, places_by_sensor(names, geometry)), None)
 
 
 def _explanations(
-    measured: ComplexArray, predicted: ComplexArray, size: Array, names: tuple[str, ...]
+    measured: ComplexArray, predicted: ComplexArray, size: Array, names: tuple[str, ...], sensors: dict[str, list[int]]
 ) -> Iterator[str]:
-    """Yield in words what explains the differences of channels (n, c), each divided by its own size (c,)."""
+    """Yield in words what explains the differences of channels (n, c), each divided by its own size (c,).
+
+    `sensors` are the places of the channels of each sensor, of which a mistake may have all.
+    """
     usual = float(np.sqrt(np.mean(np.abs(predicted) ** 2)))
     deviates = np.sqrt(np.mean(np.abs(measured - predicted) ** 2, axis=0)) > CHANNEL_MISFIT * usual
     deviating = [int(i) for i in np.flatnonzero(deviates)]
-    if not 1 <= len(deviating) <= 2 or len(names) - len(deviating) < FEWEST_CHANNELS:
+    if not deviating or len(names) - len(deviating) < FEWEST_CHANNELS:
         return
-    if len(deviating) == 1:
-        (i,) = deviating
-        factor = _factor(measured[:, i], predicted[:, i])
+    groups = {f"the channels of {name}": at for name, at in sensors.items() if len(at) > 1}
+    groups |= {names[i]: [i] for i in deviating}
+    for name, at in groups.items():
+        factor = _factor(measured[:, at], predicted[:, at]) if sorted(at) == deviating else None
         if factor is not None and not SMALLEST_FACTOR < factor < LARGEST_FACTOR:
-            yield _factor_in_words(names[i], factor)
-        return
-    for i, j in combinations(deviating, 2):
-        volts = measured[:, [j, i]] * size[[j, i]] / size[[i, j]]
-        left = np.sqrt(np.mean(np.abs(volts - predicted[:, [i, j]]) ** 2, axis=0))
+            yield _factor_in_words(name, factor, len(at) > 1)
+    for (first, one), (second, two) in combinations(groups.items(), 2):
+        if len(one) != len(two) or sorted([*one, *two]) != deviating:
+            continue
+        to, taken = [*one, *two], [*two, *one]
+        volts = measured[:, taken] * size[taken] / size[to]
+        left = np.sqrt(np.mean(np.abs(volts - predicted[:, to]) ** 2, axis=0))
         if np.all(left < CHANNEL_MISFIT * usual):
-            yield f"{names[i]} and {names[j]} are exchanged"
+            yield f"{first} and {second.replace('the channels', 'those')} are exchanged"
 
 
 def _factor(measured: ComplexArray, predicted: ComplexArray) -> float | None:
-    """Return by what factor readings (n,) differ from their prediction; None where they have another pattern."""
+    """Return by what factor readings (n, c) differ from their prediction; None where they have another pattern."""
     product, power = np.vdot(predicted, measured), float(np.vdot(predicted, predicted).real)
     norm = np.sqrt(power * float(np.vdot(measured, measured).real))
     return float(product.real) / power if norm > 0 and abs(product) > SAME_PATTERN * norm else None
 
 
-def _factor_in_words(name: str, factor: float) -> str:
+def _factor_in_words(name: str, factor: float, is_plural: bool) -> str:
+    read, is_reversed = ("read", "are reversed") if is_plural else ("reads", "is reversed")
     if factor > 0:
-        return f"{name} reads {factor:.4g} times what the known loads make"
+        return f"{name} {read} {factor:.4g} times what the known loads make"
     if abs(factor + 1.0) < SIGN_TOLERANCE:
-        return f"{name} is reversed"
-    return f"{name} is reversed, and reads {abs(factor):.4g} times what the known loads make"
+        return f"{name} {is_reversed}"
+    return f"{name} {is_reversed}, and {read} {abs(factor):.4g} times what the known loads make"

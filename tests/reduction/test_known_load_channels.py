@@ -14,7 +14,7 @@ from balance_cli.simulation import simulate_campaign, true_rig
 from balance_cli.steps.contradicted_loads import compare_loads
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run
-from tests.support.other_rigs import short_campaign
+from tests.support.other_rigs import other_rig, short_campaign
 
 ROOT = Path(__file__).parents[2]
 
@@ -95,3 +95,24 @@ def test_noise_alone_explains_nothing(campaign):
 
     loads, _ = reduced(campaign, change)
     assert loads["check-2"].check.wrong_channels is None
+
+
+@pytest.mark.parametrize(
+    ("matrix", "named"),
+    [
+        (np.eye(6)[[0, 3, 2, 1, 4, 5]], "the channels of cell l2 and those of cell l4 are exchanged"),
+        (np.diag([1.0, 1.0, 1.0, 1.0, -1.0, 1.0]), "the channels of cell l5 are reversed"),
+    ],
+)
+def test_all_channels_of_a_cell_are_wrong_together(matrix, named):
+    geometry = other_rig("A")
+    plan = short_campaign("A", revolutions=60)
+    plan = plan.model_copy(update={"runs": tuple(run for run in plan.runs if run.run == "check-1")})
+    check = simulate_campaign(true_rig(geometry), plan, seed=1).runs[0]
+    source = model_source(identify(measured_spectra([], geometry), geometry, IdentifyOptions(method="computed")))
+    block = check.read()
+    wrong = replace(check, source=MemorySource(block.channels @ np.kron(np.eye(2), matrix), block.loads))
+    for run, words in ((check, None), (wrong, named)):
+        loads = reduce_run(run, geometry, None, source)
+        assert loads.check is not None
+        assert loads.check.wrong_channels == words
