@@ -66,7 +66,7 @@ def simulate_output(model: IdentifiedModel, loads: Array, rate: float) -> Array:
     fine = np.zeros((OVERSAMPLING * n, 6))
     fine[:, 2] = np.fft.irfft(spectrum, OVERSAMPLING * n) * OVERSAMPLING - value.get("load-offset@Fz.offset", 0.0)
     extra = nonlinear_forces(motion, [fine], step)[0] if motion.mechanics.forces else np.zeros((len(fine), 0))
-    force = motion.forces(fine, extra, step)[::OVERSAMPLING, 0]
+    force = motion.forces(np.hstack([fine, extra]), step)[::OVERSAMPLING, 0]
     return np.asarray(force * rig.sensitivities[0] + value.get("channel-offset@z.offset", 0.0))
 
 

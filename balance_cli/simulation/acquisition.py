@@ -16,13 +16,12 @@ from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.declared_values import Vector
 from balance_cli.io.errors import UserError
-from balance_cli.simulation.extensions.base import Signals
+from balance_cli.simulation.channel_volts import channel_volts
 from balance_cli.simulation.filters import anti_alias
 from balance_cli.simulation.load_signals import Grid, rotor_kinematics
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, ForcePoint, RotorPlan, SampledPlan, StaticPlan, SweepPlan
 from balance_cli.simulation.rig import TrueRig
-from balance_cli.simulation.sensors import sensor_volts
 from balance_cli.simulation.truth import RunTruth, random_stream
 
 Array = NDArray[np.float64]
@@ -64,13 +63,6 @@ def _recorded_loads(rig: TrueRig, commanded_loads: Array, kind: str, step: float
     return np.where(applied, recorded, 0.0)
 
 
-def _channel_volts(rig: TrueRig, forces: Array, step: float | None, rng: np.random.Generator) -> Array:
-    volts = sensor_volts(rig, forces, step)
-    for extension in rig.extensions:
-        volts = extension.volts(Signals(volts, rig.geometry.channel_names, step, rng))
-    return volts
-
-
 def _clip_to_range(volts: Array, channels: Iterable[Channel]) -> Array:
     ranges = np.array([channel.range or np.inf for channel in channels])
     return np.clip(volts, -ranges, ranges)
@@ -106,7 +98,7 @@ def record_static(
     if not dc:
         fault = f"no channel measures the constant loads of the static run `{plan.run}`"
         raise UserError(fault, place="channels", remedy="Simulate other runs, with `--only` or a plan without this one")
-    volts = _channel_volts(rig, forces, None, acquisition.random_stream(plan, "pickup"))[:, dc]
+    volts = channel_volts(rig, forces, None, acquisition.random_stream(plan, "pickup"))[:, dc]
     noisy = volts + noise.static_channel * rng.standard_normal(volts.shape)
     recorded = _recorded_loads(rig, commanded_loads, plan.kind)
     read = recorded + np.where(
@@ -121,13 +113,12 @@ def record_static(
 
 
 def record_samples(
-    rig: TrueRig, plan: SampledPlan, grid: Grid, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
+    rig: TrueRig, plan: SampledPlan, grid: Grid, commanded_loads: Array, volts: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
-    """The record of a sampled run from commanded loads (n, 6), cell forces and torques (n, c+t) on the fine grid."""
-    geometry = rig.geometry
-    through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
-    volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]
-    recorded = through(_recorded_loads(rig, commanded_loads, plan.kind, grid.step))[: grid.samples]
+    """The record of a sampled run from commanded loads (n, 6) on the fine grid and sampled volts (n, channels)."""
+    fine, stride = _recorded_loads(rig, commanded_loads, plan.kind, grid.step), grid.oversampling
+    recorded = anti_alias(fine, rig.geometry.acquisition.filter, grid.step, stride)[: grid.samples]
+    volts = volts[: grid.samples]
     run = read_signals(rig, plan, volts, recorded, acquisition)
     true = true_loads(rig, commanded_loads, plan.kind)[:: grid.oversampling][: grid.samples]
     truth = RunTruth(plan.run, plan.kind, grid.time, true, recorded, volts)

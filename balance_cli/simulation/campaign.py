@@ -13,6 +13,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
 from balance_cli.simulation.acquisition import RecordingSetup, record_samples, record_static, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
+from balance_cli.simulation.channel_volts import sampled_volts
 from balance_cli.simulation.load_signals import (
     CONTACT_OVERSAMPLING,
     OVERSAMPLING,
@@ -101,8 +102,10 @@ def _simulate_sampled(
         extra = nonlinear_forces(motion, truly, grids[0].step) if motion.mechanics.forces else None
         for i, (plan, grid) in enumerate(zip(group, grids, strict=True)):
             commanded_loads, true = _run_loads(rig, plan, grid, acquisition)
-            forces = motion.forces(true, extra[i] if extra else np.zeros((len(true), 0)), grid.step)
-            yield record_samples(rig, plan, grid, commanded_loads, forces, acquisition)
+            inputs = np.hstack([true, extra[i]]) if extra else true
+            rng, declared = acquisition.random_stream(plan, "pickup"), rig.geometry.acquisition.filter
+            volts = sampled_volts(rig, motion, inputs, grid.step, grid.oversampling, declared, rng)
+            yield record_samples(rig, plan, grid, commanded_loads, volts, acquisition)
 
 
 def iterate_simulated_runs(

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import AnalogFilter
-from balance_cli.simulation.integrate import integrate_first_order
+from balance_cli.simulation.filtered_system import RationalFilter, filter_outputs
+from balance_cli.simulation.integrate import ModalSystem, integrate_first_order
 
 Array = NDArray[np.float64]
 
@@ -38,23 +39,23 @@ def delay_signal(signal: Array, delay: float, step: float) -> Array:
     return np.asarray(shifted)
 
 
-def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, stride: int) -> Array:
-    """Signals (n, s) through the analog Butterworth filter, at every `stride`-th sample.
-
-    The filter is solved as the sum of its partial fractions.
-    """
-    if declared is None:
-        return signals[::stride].copy()
+def anti_alias_filter(declared: AnalogFilter) -> RationalFilter:
+    """The analog Butterworth filter."""
     from scipy.signal import butter  # see `integrate.first_order_recursion`
 
-    _, poles, gain = butter(declared.order, 2 * np.pi * declared.cutoff, analog=True, output="zpk")
-    filtered = np.zeros((len(signals[::stride]), signals.shape[1]))
-    acting = np.any(signals, axis=0)  # most sweeps excite one component alone
-    signals = signals[:, acting]
-    for i, pole in enumerate(poles):
-        if pole.imag >= -1e-9 * abs(pole):
-            residue = gain / np.prod(pole - np.delete(poles, i))
-            real = pole.imag <= 1e-9 * abs(pole)
-            part = integrate_first_order(pole.real if real else pole, signals, step, -signals[0] / pole, stride)
-            filtered[:, acting] += (residue * part).real * (1 if real else 2)
+    zeros, poles, gain = butter(declared.order, 2 * np.pi * declared.cutoff, analog=True, output="zpk")
+    return RationalFilter(zeros.astype(complex), poles, gain)
+
+
+def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, stride: int) -> Array:
+    """Signals (n, s) through the declared filter, at every `stride`-th sample."""
+    if declared is None:
+        return signals[::stride].copy()
+    none = np.zeros(0, complex)
+    system = filter_outputs(
+        ModalSystem(none, none[:, None], none[None], np.ones((1, 1))), [anti_alias_filter(declared)]
+    )
+    filtered = np.empty((len(signals[::stride]), signals.shape[1]))
+    for i, column in enumerate(signals.T):
+        filtered[:, [i]] = system.response(column[:, None], step, stride)
     return filtered

@@ -9,6 +9,7 @@ that of the interpolation, 1e-8 of a sinusoid sampled 40 times a period.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import factorial
 from typing import Any
 
@@ -70,6 +71,7 @@ def first_order_recursion(decay: complex, forcing: Samples, start: NDArray[Any])
     return states
 
 
+@lru_cache(maxsize=1024)  # all runs of a rig have the same poles
 def _strided_weights(pole: complex, step: float, stride: int) -> NDArray[Any]:
     """Weights of the samples -2 .. stride+2 in `stride` steps at once; real where the pole is."""
     single = hold_weights(pole, step)
@@ -79,28 +81,31 @@ def _strided_weights(pole: complex, step: float, stride: int) -> NDArray[Any]:
     return weights.real if complex(pole).imag == 0 else weights
 
 
-def _forcing(weights: NDArray[Any], wide: Samples, stride: int) -> Samples:
-    """`sum_j weights_j wide[stride k + j]` for every k that lies wholly within `wide` (n, s)."""
-    if stride == 1:
-        return np.stack([np.convolve(column, weights[::-1], "valid") for column in wide.T], axis=1)
-    steps = (len(wide) - len(OFFSETS) + 1) // stride
-    forcing: Samples = np.empty((steps, wide.shape[1]), np.result_type(weights, wide))
-    for start in range(0, steps, CACHED_STEPS):
-        part = forcing[start : start + CACHED_STEPS]
-        block, length = wide[start * stride :], len(part) * stride
-        np.multiply(weights[0], block[:length:stride], out=part)
-        for i, weight in enumerate(weights[1:], 1):
-            part += weight * block[i : i + length : stride]
-    return forcing
-
-
-def integrate_first_order(
-    pole: complex, signal: Samples, step: float, start: NDArray[Any], stride: int = 1
-) -> NDArray[Any]:
-    """Solution of `x' = pole x + v` at every `stride`-th sample of v (n, s), from `start` (s,); (ceil(n/stride), s)."""
-    forcing = _forcing(_strided_weights(pole, step, stride), extrapolate_ends(signal), stride)
-    decay = np.exp(pole * step * stride)
+def integrate_first_order(pole: complex, signal: Samples, step: float, start: NDArray[Any]) -> NDArray[Any]:
+    """Solution (n, s) of `x' = pole x + v` at the samples of v (n, s), from `start` (s,)."""
+    weights, wide = _strided_weights(pole, step, 1), extrapolate_ends(signal)
+    forcing = np.stack([np.convolve(column, weights[::-1], "valid") for column in wide.T], axis=1)
+    decay = np.exp(pole * step)
     return first_order_recursion(decay.real if complex(pole).imag == 0 else decay, forcing, start)
+
+
+def _integrate_modes(poles: ComplexArray, inputs: ComplexArray, u: Array, step: float, stride: int) -> ComplexArray:
+    """States (ceil(n/stride), m) of `z_i' = poles_i z_i + (inputs u)_i` at every `stride`-th sample of u (n, a)."""
+    from scipy.signal import lfilter  # see `first_order_recursion`
+
+    weights = np.stack([_strided_weights(complex(pole), step, stride) for pole in poles])
+    taps = weights.shape[1]
+    windows = np.lib.stride_tricks.sliding_window_view(extrapolate_ends(u), taps, axis=0)[::stride]
+    # One product of real matrices for the forcing of all modes.
+    by_mode = np.ascontiguousarray((inputs[:, :, None] * weights[:, None, :]).reshape(len(poles), -1).T)
+    states = np.empty((len(windows) + 1, len(poles)), complex)
+    states[0] = -(inputs @ u[0]) / poles
+    for start in range(0, len(windows), CACHED_STEPS):
+        block = windows[start : start + CACHED_STEPS]
+        np.matmul(block.reshape(len(block), -1), by_mode.view(float), out=states[start + 1 :][: len(block)].view(float))
+    for i, decay in enumerate(np.exp(poles * step * stride)):
+        states[:, i] = lfilter([1.0], [1.0, -decay], states[:, i])
+    return states
 
 
 @dataclass(frozen=True)
@@ -116,17 +121,19 @@ class ModalSystem:
     outputs: ComplexArray
     direct: Array
 
-    def response(self, u: Array, step: float) -> Array:
-        """Outputs (n, y) for inputs (n, u) sampled every `step` s, from equilibrium under the first sample."""
+    def response(self, u: Array, step: float, stride: int = 1) -> Array:
+        """Outputs (ceil(n/stride), y) at every `stride`-th sample of the inputs (n, u).
+
+        These are sampled every `step` s. The response begins from equilibrium under the first sample.
+        """
         acting = np.flatnonzero(np.any(u != 0, axis=0))
         live = np.flatnonzero(np.any(self.inputs[:, acting], axis=1) & np.any(self.outputs, axis=0))
-        states = np.empty((len(u), len(live)), complex)
-        for i, mode in enumerate(live):
-            drive = np.dot(u[:, acting], self.inputs[mode, acting])[:, None]
-            states[:, i] = integrate_first_order(self.poles[mode], drive, step, -drive[0] / self.poles[mode])[:, 0]
-        outputs = self.outputs[:, live]
-        interleaved = np.stack([outputs.real, -outputs.imag], axis=-1).reshape(len(outputs), -1)
-        y: Array = states.view(float) @ interleaved.T + u @ self.direct.T
+        y: Array = u[::stride] @ self.direct.T
+        if len(live):
+            states = _integrate_modes(self.poles[live], self.inputs[np.ix_(live, acting)], u[:, acting], step, stride)
+            outputs = self.outputs[:, live]
+            interleaved = np.stack([outputs.real, -outputs.imag], axis=-1).reshape(len(outputs), -1)
+            y += states.view(float) @ interleaved.T
         return y
 
     def subsystem(self, outputs: slice, inputs: slice) -> ModalSystem:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +37,17 @@ class RigDynamics:
         """Elongations and rates (n, m or 2m) where nonlinear forces act, under the hub loads (n, 6) alone."""
         return self.system.subsystem(slice(self.sensors, None), slice(0, 6)).response(loads, step)
 
-    def forces(self, loads: Array, extra: Array, step: float) -> Array:
-        """Cell forces, torques and accelerations (n, c+t+a) under hub loads (n, 6) and nonlinear forces (n, m)."""
-        inputs = np.hstack([loads, extra])
-        linear = self.system.subsystem(slice(0, self.sensors), slice(None)).response(inputs, step)
-        return linear + forces_read_by_channels(self.mechanics, extra)
+    @property
+    def sensor_system(self) -> ModalSystem:
+        """Cell forces as the channels read them, torques and accelerations (c+t+a), of hub loads and forces (6+m)."""
+        system = self.system.subsystem(slice(0, self.sensors), slice(None))
+        direct = system.direct.copy()
+        direct[:, 6:] += forces_read_by_channels(self.mechanics, np.eye(len(self.mechanics.forces))).T
+        return replace(system, direct=direct)
+
+    def forces(self, inputs: Array, step: float) -> Array:
+        """Cell forces, torques and accelerations (n, c+t+a) under hub loads and nonlinear forces (n, 6+m)."""
+        return self.sensor_system.response(inputs, step)
 
 
 def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) -> list[Array]:

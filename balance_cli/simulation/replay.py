@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.simulation.acquisition import KINDS_WITH_LOADS, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.extensions.base import Signals
+from balance_cli.simulation.channel_volts import sampled_volts
 from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING
 from balance_cli.simulation.motion import RigDynamics, nonlinear_forces
 from balance_cli.simulation.rig import TrueRig
-from balance_cli.simulation.sensors import sensor_volts
 
 Array = NDArray[np.float64]
 
@@ -51,8 +50,5 @@ def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, roto
         forces = nonlinear_forces(motion, [fine], step)[0] if mechanics.forces else np.zeros((len(fine), 0))
         if not np.isfinite(forces).all():
             raise np.linalg.LinAlgError("the motion grows without bound")
-        read = motion.forces(fine, forces, step)
-    volts = sensor_volts(rig, read, step)
-    for extension in rig.extensions:
-        volts = extension.volts(Signals(volts, rig.geometry.channel_names, step, np.random.default_rng(0)))
-    return np.asarray(volts[::oversampling])
+        inputs = np.hstack([fine, forces])
+        return sampled_volts(rig, motion, inputs, step, oversampling, None, np.random.default_rng(0))

@@ -23,7 +23,7 @@ def sensor_volts(rig: TrueRig, forces: Array, step: float | None) -> Array:
     """
     geometry = rig.geometry
     volts = np.empty((len(forces), len(geometry.channels)))
-    weights = _sensor_weights(geometry)
+    weights = sensor_weights(geometry)
     for i, (channel, sensitivity) in enumerate(zip(geometry.channels, rig.sensitivities, strict=True)):
         signal = forces @ weights[i] * sensitivity
         if channel.lowpass is not None and step is not None:
@@ -34,7 +34,7 @@ def sensor_volts(rig: TrueRig, forces: Array, step: float | None) -> Array:
     return volts
 
 
-def _sensor_weights(geometry: Geometry) -> Array:
+def sensor_weights(geometry: Geometry) -> Array:
     """Weights (channels, cells+t+a) of the sensors in each channel's reading."""
     accelerometers = [i for i, channel in enumerate(geometry.channels) if channel.accelerometer is not None]
     cells, meters = len(geometry.cells), [meter.name or True for meter in geometry.shaft_meters]

@@ -36,6 +36,8 @@ class Extension:
     """An effect at the places `where`; its other fields are its parameters. A hook not overridden changes nothing."""
 
     name: ClassVar[str]
+    is_mixture: ClassVar[bool] = False
+    """Whether each of its volts is a sum of present ones and a constant: then they may be filtered before it, too."""
     where: tuple[str, ...] = ()
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:

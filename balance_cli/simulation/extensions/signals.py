@@ -94,6 +94,7 @@ class ChannelGain(Extension):
     """The channel reads `gain` times its volts."""
 
     name: ClassVar[str] = "channel-gain"
+    is_mixture: ClassVar[bool] = True
     gain: float = 1.0
 
     def volts(self, signals: Signals) -> Array:
@@ -106,6 +107,7 @@ class Crosstalk(Extension):
     """A `fraction` of the volts of the second channel is added to the first."""
 
     name: ClassVar[str] = "crosstalk"
+    is_mixture: ClassVar[bool] = True
     fraction: float = 0.0
 
     def volts(self, signals: Signals) -> Array:
@@ -121,6 +123,7 @@ class ChannelOffset(Extension):
     """The channel has an `offset` [V]."""
 
     name: ClassVar[str] = "channel-offset"
+    is_mixture: ClassVar[bool] = True
     offset: float = 0.0
 
     def volts(self, signals: Signals) -> Array:
