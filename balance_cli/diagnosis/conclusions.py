@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
@@ -63,20 +64,28 @@ def decide_verdict(
 
 
 def judge_drifts(diagnosis: Diagnosis) -> Diagnosis:
-    """Return the diagnosis with what drifts within the records: a constant effect of such a channel is an average.
+    """Return the diagnosis with what drifts within the records, which no effect explains.
 
-    Records of another length have another average, so that the effect does not explain them.
+    The scatter that it makes is in the measured noise, so that chi-square does not show it. A constant effect of such a
+    channel is an average: records of another length have another one.
     """
     level = (diagnosis.settings or DEFAULT_SETTINGS).data_tests.significance_level
     tests = [test for test in diagnosis.data_tests if test.name == RECORD_CHANGE_TEST]
     drifts = [test for test in tests if test.p_value * len(tests) <= level]
     channels = {name for test in drifts for name in test.place.split(", ")}
-    averages = [effect.label for effect in diagnosis.effects if channels & set(effect.where)]
+    groups = channel_groups(diagnosis.geometry)
+    averages = [
+        effect.label
+        for effect in diagnosis.effects
+        if channels & {channel for name in effect.where for channel in groups.get(name, (name,))}
+    ]
     notes = [f"{test.place}: {test.finding}" for test in drifts]
     if averages:
         states = "is the average" if len(averages) == 1 else "are averages"
         notes.append(f"{', '.join(averages)} {states} of what drifts within the records, not constant")
-    verdict = PARTLY_EXPLAINED if averages and diagnosis.verdict == EXPLAINED else diagnosis.verdict
+    verdict = diagnosis.verdict
+    if drifts and verdict in (NOTHING_MISSING, EXPLAINED):
+        verdict = PARTLY_EXPLAINED
     return replace(diagnosis, notes=(*diagnosis.notes, *notes), verdict=verdict)
 
 

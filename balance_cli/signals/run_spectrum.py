@@ -48,6 +48,20 @@ class NoisePart:
 
 
 @dataclass(frozen=True)
+class RecordDrift:
+    """Changes of gain and delay [s] of c channels against the loads, from the first half of a record to the last.
+
+    `change` (2, c) with `covariance` (2, c, c), estimated with `dof` complex degrees of freedom. `signal_to_noise` (c,)
+    is the power of each channel over that of its noise.
+    """
+
+    change: Array
+    covariance: Array
+    signal_to_noise: Array
+    dof: float
+
+
+@dataclass(frozen=True)
 class RunSpectrum:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
 
@@ -60,7 +74,7 @@ class RunSpectrum:
     `window` is the part of a periodic record from which the lines were taken; None where they contain no transient.
     `waveform` holds the channels in the time domain; None where it was not requested. `noise_parts` are the components
     of the noise of the channels, where these are not known equally well. `periods` (P, k, c) are the channels in each
-    whole period of a periodic record; None where it does not repeat.
+    whole period of a periodic record; None where it does not repeat, and `drift` is that of its channels.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -81,6 +95,7 @@ class RunSpectrum:
     waveform: Waveform | None = None
     noise_parts: tuple[NoisePart, ...] = ()
     periods: ComplexArray | None = None
+    drift: RecordDrift | None = None
 
     def select(self, keep: NDArray[np.bool_]) -> RunSpectrum:
         """Return the spectrum at the selected lines (k,)."""

@@ -1,8 +1,10 @@
-"""What drifts within a record where a cell has one channel only: each channel against all others of its record.
+"""What drifts within a record: each channel against all others, where periods do not tell the channels of a cell.
 
 The second half of the steady periods of a channel, over the first half, is one but for a gain and a delay that drift:
 
     Y_last / Y_first = 1 + g - j w tau
+
+Of a record that does not repeat its local models tell both (`signals.local.record_drift`), of all channels.
 
 A change y of channel c in record r is that of the exciter, which all channels share, and that of the channel:
 
@@ -27,46 +29,50 @@ from balance_cli.diagnosis.data_test_settings import DataTestSettings
 from balance_cli.diagnosis.data_tests.record_changes import noise_of_period
 from balance_cli.diagnosis.result import RECORD_CHANGE_TEST, ModelFreeTest
 from balance_cli.diagnosis.significance import bonferroni_min_p_value, chi2_p_value, format_with_sigma
-from balance_cli.signals.run_spectrum import RunSpectrum
+from balance_cli.signals.run_spectrum import RecordDrift, RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 GAIN, DELAY = 0, 1
-EVERY_CHANNEL = "channels of cells with one channel"
-"""Place of a test that finds nothing."""
-
-
-@dataclass(frozen=True)
-class _Changes:
-    """Changes of gain and delay [s] (2, c) from the first half of a record to the last, and their sigmas (2, c).
-
-    `dof`: complex degrees of freedom of the noise of a period.
-    """
-
-    value: Array
-    sigma: Array
-    dof: float
+SINGLE_CHANNELS, EVERY_CHANNEL = "channels of cells with one channel", "all channels, in records that do not repeat"
+"""Places of a test that finds nothing."""
 
 
 def channel_drift_tests(
     runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings
 ) -> list[ModelFreeTest]:
-    """One row where periodic records have channels of cells with one channel; else none."""
-    cells = Counter(channel.cell for channel in geometry.channels)
-    names = tuple(item.name for item in geometry.channels if item.cell is not None and cells[item.cell] == 1)
-    if len(names) < settings.record_changes.min_channels:
-        return []
-    changes = [_changes_of_run(run, names, settings) for run in runs]
-    drifts = [change for change in changes if change is not None]
-    test = _test(names, drifts, settings) if drifts else None
-    return [] if test is None else [test]
+    """One row where periodic records have channels of cells with one channel, one where records do not repeat."""
+    of_cells = [channel for channel in geometry.channels if channel.cell is not None]
+    cells = Counter(channel.cell for channel in of_cells)
+    periodic = [run for run in runs if run.periods is not None]
+    single = _shared_channels(periodic, [item.name for item in of_cells if cells[item.cell] == 1])
+    others = [run for run in runs if run.drift is not None]
+    every = _shared_channels(others, [item.name for item in of_cells])
+    parts = (
+        (SINGLE_CHANNELS, single, [_drift_between_periods(run, single, settings) for run in periodic if single]),
+        (EVERY_CHANNEL, every, [_drift_of_channels(run, every) for run in others]),
+    )
+    rows = [_test(place, names, [drift for drift in drifts if drift], settings) for place, names, drifts in parts]
+    return [row for row in rows if row is not None]
 
 
-def _changes_of_run(run: RunSpectrum, names: tuple[str, ...], settings: DataTestSettings) -> _Changes | None:
-    """The changes of the channels of a run; None for a record that is too short."""
-    if run.periods is None or not set(names) <= set(run.channel_names):
-        return None
+def _shared_channels(runs: Sequence[RunSpectrum], names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the channels that all runs have."""
+    return tuple(name for name in names if runs and all(name in run.channel_names for run in runs))
+
+
+def _drift_of_channels(run: RunSpectrum, names: Sequence[str]) -> RecordDrift:
+    """The drift of some channels of a record that does not repeat."""
+    assert run.drift is not None
+    places = [run.channel_names.index(name) for name in names]
+    change, covariance = run.drift.change[:, places], run.drift.covariance[:, places][:, :, places]
+    return RecordDrift(change, covariance, run.drift.signal_to_noise[places], run.drift.dof)
+
+
+def _drift_between_periods(run: RunSpectrum, names: Sequence[str], settings: DataTestSettings) -> RecordDrift | None:
+    """The drift of some channels of a periodic record; None for a record that is too short."""
+    assert run.periods is not None
     steady = _first_steady_periods(run)
     begin = min(int(steady.max()), len(run.periods) - 2 * settings.record_changes.min_half_periods)
     lines = np.flatnonzero((run.frequency > 0) & (steady <= begin))
@@ -80,8 +86,7 @@ def _changes_of_run(run: RunSpectrum, names: tuple[str, ...], settings: DataTest
     first, last = periods[:half].mean(axis=0), periods[-half:].mean(axis=0)
     value, sigma = _fit_gain_and_delay(first, last, variance / half, 2.0 * np.pi * run.frequency[lines])
     signal = np.sum(np.abs(first) ** 2, axis=0) / np.sum(variance / half, axis=0)
-    sigma = np.where(signal < settings.run_changes.min_signal_to_noise, np.inf, sigma)
-    return _Changes(value, sigma, dof)
+    return RecordDrift(value, np.array([np.diag(each**2) for each in sigma]), signal, dof)
 
 
 def _first_steady_periods(run: RunSpectrum) -> NDArray[np.intp]:
@@ -110,23 +115,33 @@ def _fit_gain_and_delay(first: ComplexArray, last: ComplexArray, variance: Array
     return np.stack([gain, delay]), np.sqrt(np.maximum(birge, 1.0) / (2.0 * size))
 
 
-def _test(names: tuple[str, ...], changes: Sequence[_Changes], settings: DataTestSettings) -> ModelFreeTest | None:
-    """Whether the changes of the channels over all records differ, in gain or in delay."""
-    weight = np.array([change.sigma**-2.0 for change in changes])
-    loaded = np.flatnonzero(weight.sum(axis=0).min(axis=0) > 0)
+def _test(
+    unchanged: str, names: Sequence[str], drifts: Sequence[RecordDrift], settings: DataTestSettings
+) -> ModelFreeTest | None:
+    """Whether the changes of the channels over all records differ, in gain or in delay; `unchanged`: the place if not.
+
+    None of too few channels that carry a signal.
+    """
+    least = settings.run_changes.min_signal_to_noise
+    carries = np.array([drift.signal_to_noise >= least for drift in drifts]).reshape(len(drifts), len(names))
+    loaded = np.flatnonzero(carries.any(axis=0))
     if len(loaded) < settings.record_changes.min_channels:
         return None
-    value = np.array([change.value for change in changes])
-    fits = [ChannelFit.of(value[:, kind, loaded], weight[:, kind, loaded]) for kind in (GAIN, DELAY)]
-    dof, limit = float(len(loaded) - 1), min(change.dof for change in changes)
-    p_values = [chi2_p_value(fit.chi2, (dof,), (limit,)) for fit in fits]
+    value = np.array([drift.change[:, loaded] for drift in drifts])
+    is_known = carries[:, None, loaded]
+    covariance = np.array([drift.covariance[:, loaded][:, :, loaded] for drift in drifts])
+    covariance = np.where(is_known[..., None] & is_known[..., None, :], covariance, 0.0)
+    weight = is_known / np.where(is_known, np.diagonal(covariance, axis1=2, axis2=3), 1.0)
+    fits = [ChannelFit.of(value[:, kind], weight[:, kind]) for kind in (GAIN, DELAY)]
+    limit = min(drift.dof for drift in drifts)
+    p_values = [fit.p_value(weight[:, kind], covariance[:, kind], limit) for kind, fit in enumerate(fits)]
     kind, p_value = int(np.argmin(p_values)), bonferroni_min_p_value(p_values)
-    place, finding = EVERY_CHANNEL, "equal"
+    place, finding = unchanged, "equal"
     if p_value <= settings.significance_level:
         group = fits[kind].deviating_group(settings.record_changes.clear_sigma)
         place = ", ".join(names[loaded[i]] for i in group)
         finding = _describe(kind, *fits[kind].change_of(group), len(group))
-    return ModelFreeTest(RECORD_CHANGE_TEST, place, fits[kind].chi2, dof, p_value, finding)
+    return ModelFreeTest(RECORD_CHANGE_TEST, place, fits[kind].chi2, len(loaded) - 1.0, p_value, finding)
 
 
 @dataclass(frozen=True)
@@ -154,6 +169,19 @@ class ChannelFit:
     def chi2(self) -> float:
         """Chi-square of channels that do not differ."""
         return float(self.right @ self.change)
+
+    def p_value(self, weight: Array, covariance: Array, noise_dof: float) -> float:
+        """P-value of channels that do not differ, for changes with weights (r, c) and covariance (r, c, c).
+
+        Noise that channels have in common, of a floor that shakes, is in few directions: with the covariance S of b the
+        mean of chi-square is tr N^+ S, and its variance 2 tr (N^+ S)^2 (Satterthwaite).
+        """
+        total = np.maximum(weight.sum(axis=1), np.finfo(float).tiny)[:, None, None]
+        centered = weight[:, :, None] * np.eye(len(self.right)) - weight[:, :, None] * weight[:, None, :] / total
+        scatter = np.sum(centered @ covariance @ centered, axis=0)
+        relative = np.linalg.pinv(self.matrix, hermitian=True) @ scatter
+        mean, half_variance = float(np.trace(relative)), float(np.sum(relative * relative.T))
+        return chi2_p_value(self.chi2 * mean / half_variance, (mean**2 / half_variance,), (noise_dof,))
 
     def change_of(self, group: Sequence[int] | NDArray[np.intp]) -> tuple[float, float]:
         """The change of a group against all others, and its sigma."""

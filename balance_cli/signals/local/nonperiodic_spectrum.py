@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.local.models import LocalModels, fit_local_models
+from balance_cli.signals.local.record_drift import record_drift
 from balance_cli.signals.local.scaled_spectrum import LEAST_POWER_SHARE, record_spectrum
 from balance_cli.signals.local.window import Remainder, denominator_errors, poles, remainder_at_center
 from balance_cli.signals.run_samples import run_error, sample_rate
@@ -194,4 +195,5 @@ def _to_run_spectrum(models: LocalModels, groups: Sequence[_Experiments]) -> Run
         dof=models.noise.dof,
         rotor_speed=s.run.rotor_speed,
         level=s.run.level,
+        drift=record_drift(models),
     )

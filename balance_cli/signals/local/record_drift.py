@@ -1,0 +1,69 @@
+"""A gain or a delay that drifts in the course of a record, by the residual of its local models.
+
+A drift adds to a channel y(t) a part s(t) (g y - tau y'), where s rises from -1/2 to 1/2 over the record. In the
+spectrum that is (g - j w tau) S(w), with the transform S of s y. Neighboring lines of S differ as those of the loads
+do, so that no response and no transient describes it: with the projection P of a window on what its local model leaves,
+
+    P Y = (g - j w tau) P S + noise
+
+by least squares (Frisch and Waugh, Econometrica 1 (1933) 387). The noise is that of the lines as they scatter about it
+(White, Econometrica 48 (1980) 817), since a drift is in the measured noise too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.signals.local.models import LocalModels
+from balance_cli.signals.run_spectrum import RecordDrift
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+RAMP_POWER = 1.0 / 12.0
+"""Mean square of the ramp."""
+
+
+def record_drift(models: LocalModels) -> RecordDrift:
+    """Estimate the drift of each channel over the record of fitted local models, against its loads."""
+    s, lines = models.spectrum, models.spectrum.excited
+    drifting = _project(models, ramp_spectrum(s.channels))[lines]
+    residual = _project(models, s.channels)[lines]
+    weight = 1.0 / _noise_power(models)[lines]
+    omega = 2.0 * np.pi * s.frequency[lines, None]
+    # Of a gain and of a delay, which are at right angles at every line.
+    part = np.stack([drifting, -1j * omega * drifting])
+    size = np.sum(weight * np.abs(part) ** 2, axis=1)
+    value = np.sum(weight * (part.conj() * residual).real, axis=1) / size
+    left = residual - np.sum(value[:, None] * part, axis=0)
+    score = weight * (part.conj() * left).real / size[:, None]
+    return RecordDrift(
+        change=value / 2.0,
+        covariance=score.swapaxes(1, 2) @ score / 4.0,
+        signal_to_noise=size[0] / (RAMP_POWER * len(residual)),
+        dof=float(len(residual)),
+    )
+
+
+def _noise_power(models: LocalModels) -> Array:
+    """Variances (K, c) of the residuals at each line, by the noise of channels and loads."""
+    of_loads = np.sum((models.response @ models.noise.loads) * models.response.conj(), axis=2).real
+    return np.asarray(np.diagonal(models.noise.channels, axis1=1, axis2=2).real + of_loads)
+
+
+def ramp_spectrum(lines: ComplexArray) -> ComplexArray:
+    """Return the lines (K, c) of a signal times a ramp that rises from -1/2 to 1/2 over its record."""
+    count = 2 * len(lines)
+    time = (np.arange(count) + 0.5) / count - 0.5
+    signal = np.fft.ifft(lines, count, axis=0)
+    return np.asarray(np.fft.fft(signal * time[:, None], axis=0)[: len(lines)])
+
+
+def _project(models: LocalModels, lines: ComplexArray) -> ComplexArray:
+    """What the local models, with their poles as they are, leave of the lines (K, c) of some outputs."""
+    left = np.zeros_like(lines)
+    for fit, first, (start, stop) in zip(models.fit, models.first, models.assigned_lines, strict=True):
+        coefficients = fit.pseudoinverse @ lines[first : first + len(fit.r)]
+        left[start:stop] = lines[start:stop] - fit.regressors[start - first : stop - first] @ coefficients
+    return left
