@@ -31,7 +31,7 @@ def run() -> str:
     spectra = measured_spectra(runs, geometry, means=True)
     lines = search_lines(spectra, geometry.channel_names, SETTINGS.fit)
     rigid = np.array(identify(spectra, geometry).parameters.value, float)
-    state = fit_until_stable(balance_model(geometry), rigid, lines, SETTINGS.fit)
+    state = fit_until_stable(balance_model(geometry).at(rigid), lines, SETTINGS.fit)
     start = time.perf_counter()
     ranked = rank_candidates(state, lines, candidates(state.geometry), SETTINGS)
     score = (time.perf_counter() - start) / len(ranked)
@@ -39,7 +39,7 @@ def run() -> str:
     for leading in select_leading(ranked, SETTINGS):
         start = time.perf_counter()
         partial = fit_partially(state, leading, lines, SETTINGS)
-        fit_until_stable(partial.model, partial.theta, lines, SETTINGS.fit, state.shares)
+        fit_until_stable(partial, lines, SETTINGS.fit, state.shares)
         refit = time.perf_counter() - start
         text.append(f"refit  {1e3 * refit:9.2f} ms, {refit / score:.0f} times that: {leading.candidate.label}")
     return "\n".join(text)

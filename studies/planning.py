@@ -151,7 +151,7 @@ def _score(item: PlannedClass, candidate: Candidate, spectra: Spectra, geometry:
     model = balance_model(geometry)
     batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     minimum = fit_maximum_likelihood(model, batches, model.parameters.value)
-    score = scores(model, minimum.theta, batches, [candidate], DEFAULT_SETTINGS.score)[0]
+    score = scores(model.at(minimum.theta), batches, [candidate], DEFAULT_SETTINGS.score)[0]
     count = forecast().base.model.candidate_count
     p_value = bonferroni_p_value(score.gain, score.parameters, count, score.noise_dof)
     found = p_value < DEFAULT_SETTINGS.selection.significance_level

@@ -130,7 +130,7 @@ def _simulate_declared_campaign(geometry_file: str, excitation: str) -> tuple[Ba
 
 
 def _information(geometry: Geometry, theta: Array, batches: Sequence[Batch], candidate: Candidate) -> Array:
-    return scores(balance_model(geometry), theta, batches, [candidate], DEFAULT_SETTINGS.score)[0].information
+    return scores(balance_model(geometry).at(theta), batches, [candidate], DEFAULT_SETTINGS.score)[0].information
 
 
 def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[HiddenEffect]) -> list[float]:

@@ -179,7 +179,7 @@ def describe_added_effects(
         if support is None:
             continue
         described = by_label[effect.label]
-        others, remedy = _alternatives(effect, support.equivalent, update.fit.model.geometry)
+        others, remedy = _alternatives(effect, support.equivalent, update.fit.geometry)
         parameters = tuple(
             replace(item, interval=intervals.get(f"{effect.label}.{item.name}")) for item in described.parameters
         )
@@ -249,7 +249,7 @@ def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settin
     notes += describe_offsets(fit)
     bin_sums = any(run.waveform is not None and run.waveform.lines_are_bin_sums for run in spectra.lines)
     too_good = updated.quality.chi2_per_dof < settings.selection.too_good_chi2_per_dof
-    if fit.model.system(fit.theta).equations.nonlinear_terms and bin_sums and too_good:
+    if fit.system().equations.nonlinear_terms and bin_sums and too_good:
         notes.append(
             "chi2/dof is below one because the noise of records that do not repeat was measured with the nonlinear "
             "terms still in it: every sigma and p-value is on the safe side"
@@ -269,7 +269,7 @@ def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settin
 def describe_offsets(fit: Fit) -> list[str]:
     """Say that offsets of channels change no load: the zeros of bridges are everyday, and look like an effect."""
     offsets = [effect for effect in fit.model.effects if effect.effect.is_zero_reading]
-    if not offsets or fit.model.system(fit.theta).equations.has_nonlinear_terms:
+    if not offsets or fit.system().equations.has_nonlinear_terms:
         return []
     text = "no harmonic load depends on such zeros, and a zero run takes them out of the mean loads"
     places = ", ".join(place for effect in offsets for place in effect.where)

@@ -26,7 +26,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import CONTRADICTS_OTHERS
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.signals.run_spectrum import NoisePart, RunSpectrum, StaticPoints
 
 Array = NDArray[np.float64]
@@ -43,14 +43,13 @@ class ExclusionResult:
 
 
 def find_exclusion(
-    start: BalanceModel,
-    theta: Array,
+    start: Estimate,
     spectra: Spectra,
     residual: ResidualMap,
     announce: Callable[[str], bool],
     settings: SearchSettings,
 ) -> ExclusionResult | None:
-    """Return the first channel or run without which the model `start` describes all other data; None without any.
+    """Return the first channel or run without which the model of `start` describes all other data; None without any.
 
     `residual`: that of the model before and after the search. The search has failed to describe the data.
     """
@@ -61,13 +60,13 @@ def find_exclusion(
         if not rest.lines:
             continue
         batches = stack_runs(rest.lines, rest.statics, start.geometry.channel_names)
-        fit = fit_all_lines(start, theta, batches, settings.fit)
-        quality = model_quality(fit.model, fit.theta, batches)
+        fit = fit_all_lines(start, batches, settings.fit)
+        quality = model_quality(fit, batches)
         left_out = LeftOut(kind, name, quality.chi2_per_dof)
         if not is_good_fit(ConfirmedFit(fit), quality, settings):
             continue
         pool = candidates(start.geometry, excluded=settings.excluded)
-        scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
+        scores = score_in_two_stages(fit, batches, pool, settings)
         smallest = min(bonferroni_p_value(s.gain, s.parameters, len(scores), s.noise_dof) for s in scores)
         if smallest >= settings.selection.significance_level:
             update = UpdateResult(fit, {}, (), ConfirmedFit(fit, (), scores, {}, smallest), True)

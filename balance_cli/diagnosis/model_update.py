@@ -39,7 +39,7 @@ from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.maximum_likelihood import TOLERANCE
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.model_error import add_model_error, estimate_model_error
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import declared_effects
 
@@ -63,13 +63,12 @@ class UpdateResult:
 
 @dataclass(frozen=True)
 class _UpdateTask:
-    """What an update is made of: the model to start from and its parameters, the lines, and which effects are certain.
+    """What an update is made of: the estimate to start from, the lines, and which effects are certain.
 
     `given_labels`: effects of the starting model; `certain_labels`: these and the ones that the channels demand.
     """
 
-    start: BalanceModel
-    theta: Array
+    start: Estimate
     batches: Sequence[Batch]
     lines: SearchLines
     given_labels: Collection[str]
@@ -79,15 +78,14 @@ class _UpdateTask:
 
 
 def update_model(
-    start: BalanceModel,
-    theta: Array,
+    start: Estimate,
     spectra: Spectra,
     batches: Sequence[Batch],
     given_labels: Collection[str],
     announce: Announce,
     settings: SearchSettings,
 ) -> UpdateResult:
-    """Return the model `start` with parameters `theta` (p,), updated to describe the spectra.
+    """Return the model of `start`, updated to describe the spectra.
 
     Effects of the start that are not among `given_labels` are shown by the data alone.
     """
@@ -98,45 +96,42 @@ def update_model(
         *spin_candidates(spectra.lines, start.geometry, settings),
     )
     find_late = partial(late_channels, spectra.lines, start.geometry, settings)
-    search_result = search(start, theta, lines, announce, initial_sets, find_late, settings)
+    search_result = search(start, lines, announce, initial_sets, find_late, settings)
     certain_labels = effect_labels(start) | {trial.label for trial in search_result.trials if trial.round == 0}
-    task = _UpdateTask(start, theta, batches, lines, given_labels, certain_labels, announce, settings)
+    task = _UpdateTask(start, batches, lines, given_labels, certain_labels, announce, settings)
     update = _test_on_all_lines(task, search_result)
     if update.is_good:
         return update
     if announce("resonances without a cause"):
         return update
     first_round = last_round(update.trials) + 1
-    state, tried = add_unmodelled_modes(_starting_models(task, update), lines, first_round, announce, settings)
+    state, tried = add_unmodelled_modes(_starts_of_modes(task, update), lines, first_round, announce, settings)
     trials = (*update.trials, *tried)
     if state is None:
         return replace(update, trials=trials)
     return _test_on_all_lines(task, replace(search_result, state=state, trials=trials))
 
 
-def add_zeros(
-    model: BalanceModel, theta: Array, offsets: Mapping[str, float], settings: SearchSettings
-) -> tuple[BalanceModel, Array]:
-    """Return a model with the zeros [V] of channels, by name, that it does not have and that are not excluded."""
+def add_zeros(estimate: Estimate, offsets: Mapping[str, float], settings: SearchSettings) -> Estimate:
+    """Return an estimate with the zeros [V] of channels, by name, that it does not have and that are not excluded."""
     (name,) = (effect.name for effect in EFFECTS if effect.is_zero_reading)
-    known = {item.where for item in model.geometry.effects if item.name == name}
+    geometry = estimate.geometry
+    known = {item.where for item in geometry.effects if item.name == name}
     added = tuple(
         DeclaredEffect(name=name, where=(channel,), parameters={"offset": value})
         for channel, value in offsets.items()
         if (channel,) not in known and not is_excluded(name, (channel,), settings.excluded)
     )
     if not added:
-        return model, theta
-    return extend_model(model, theta, model.geometry.model_copy(update={"effects": (*model.geometry.effects, *added)}))
+        return estimate
+    return extend_model(estimate, geometry.model_copy(update={"effects": (*geometry.effects, *added)}))
 
 
-def _starting_models(task: _UpdateTask, update: UpdateResult) -> list[tuple[BalanceModel, Array]]:
+def _starts_of_modes(task: _UpdateTask, update: UpdateResult) -> list[Estimate]:
     """The models to which modes are added: the updated one, and one without the effects that a mode may have caused."""
-    model = update.fit.model
-    starting_models = [(model, update.fit.theta)]
-    if not effect_labels(model) <= set(task.certain_labels):
-        starting_models.append(keep_effects(task.certain_labels, model.geometry, task.start, task.theta))
-    return starting_models
+    if effect_labels(update.fit) <= set(task.certain_labels):
+        return [update.fit]
+    return [update.fit, keep_effects(task.certain_labels, update.fit.geometry, task.start)]
 
 
 def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> UpdateResult:
@@ -178,13 +173,13 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     support = {**comparison.effect_support, **tested.support}
     confirmation = score_again(confirmation, fit, batches, settings)
     known = None if error_runs else fit.minimum.data.information
-    is_good = is_good_fit(confirmation, model_quality(fit.model, fit.theta, task.batches, known), settings)
+    is_good = is_good_fit(confirmation, model_quality(fit, task.batches, known), settings)
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation, is_good)
 
 
 def _weight_by_force_noise(task: _UpdateTask, state: SearchState) -> _UpdateTask:
     """The task with the noise of nonlinear forces in its weights, which other effects would describe."""
-    return replace(task, batches=add_force_noise(task.batches, state.model.system(state.theta, derivatives=False)))
+    return replace(task, batches=add_force_noise(task.batches, state.system(derivatives=False)))
 
 
 def _first_fit(
@@ -211,36 +206,36 @@ def _fit_and_narrow(
     Where the weights carry a model error (not `noise_alone`), they may hide what a motion explains.
     """
     trials: tuple[Trial, ...] = ()
-    fit = fit_all_lines(state.model, state.theta, batches, settings.fit, settings.fit.steps_before_valley)
+    fit = fit_all_lines(state, batches, settings.fit, settings.fit.steps_before_valley)
     if noise_alone and not fit.minimum.converged:
         fit, trials = narrow_places(fit, batches, number, settings)
     if not fit.minimum.converged:
         fit = continue_fit(fit, batches, settings.fit)
-    return refit_at_best_frequency(fit, declared_effects(fit.model.geometry), batches, settings), trials
+    return refit_at_best_frequency(fit, declared_effects(fit.geometry), batches, settings), trials
 
 
 def _has_new_effects(fit: Fit, task: _UpdateTask) -> bool:
     """Whether the effects of a fit are others than those of the model that was given."""
-    return effect_labels(fit.model) != effect_labels(task.start)
+    return effect_labels(fit) != effect_labels(task.start)
 
 
 def _refit_against_noise(fit: Fit, task: _UpdateTask) -> Fit | None:
     """The fit against the noise alone; None where all lines show an error of the model."""
     settings = task.settings
-    fit = fit_all_lines(fit.model, fit.theta, task.batches, settings.fit, settings.fit.contender_steps)
+    fit = fit_all_lines(fit, task.batches, settings.fit, settings.fit.contender_steps)
     if not fit.minimum.converged:
         remaining = 1.0 - predicted_decrease(fit.minimum.total) / fit.chi2
         # The error is about in proportion to the root of chi-square.
         if _model_error(fit, task) * np.sqrt(max(remaining, 0.0)) > settings.rounds.large_error:
             return None
         fit = continue_fit(fit, task.batches, settings.fit)
-    fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), task.batches, settings)
+    fit = refit_at_best_frequency(fit, declared_effects(fit.geometry), task.batches, settings)
     return fit if _model_error(fit, task) <= settings.rounds.large_error else None
 
 
 def _model_error(fit: Fit, task: _UpdateTask) -> float:
     """Rms over the runs of the model error that all lines show, a share of the response."""
-    system = fit.model.system(fit.theta, derivatives=False)
+    system = fit.system(derivatives=False)
     shares = estimate_model_error(task.batches, system, None, task.settings.residual_map.sigma)
     return float(np.sqrt(np.mean(np.square(list(shares.values())))))
 
@@ -263,9 +258,9 @@ def _labels_within(gaps: Mapping[str, float], limit: float) -> tuple[str, ...]:
     return tuple(name for name, gap in sorted(gaps.items(), key=lambda item: item[1]) if gap < limit)
 
 
-def effect_labels(model: BalanceModel) -> set[str]:
+def effect_labels(estimate: Estimate) -> set[str]:
     """Return the labels of the effects of a model."""
-    return {effect.label for effect in declared_effects(model.geometry)}
+    return {effect.label for effect in declared_effects(estimate.geometry)}
 
 
 def last_round(trials: Sequence[Trial]) -> int:
@@ -273,18 +268,16 @@ def last_round(trials: Sequence[Trial]) -> int:
     return max((trial.round for trial in trials), default=0)
 
 
-def model_quality(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], information: Array | None = None
-) -> FitQuality:
-    """Return how well a model with parameters `theta` (p,) describes the lines.
+def model_quality(estimate: Estimate, batches: Sequence[Batch], information: Array | None = None) -> FitQuality:
+    """Return how well an estimate describes the lines.
 
     `information`: that of the lines (f, f), where it is known.
     """
-    system = model.system(theta)
+    system = estimate.system()
     if information is None:
         information = data_curvature(batches, system).information
-    identifiability = parameter_identifiability(model.parameters, information)
-    return fit_quality(batches, system, identifiability.effective_parameters, frf_band(batches, model.geometry))
+    identifiability = parameter_identifiability(estimate.model.parameters, information)
+    return fit_quality(batches, system, identifiability.effective_parameters, frf_band(batches, estimate.geometry))
 
 
 def is_good_fit(confirmation: ConfirmedFit, quality: FitQuality, settings: SearchSettings) -> bool:

@@ -15,7 +15,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.fit_quality import residual_variance
 from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.recorded_loads import recorded_load_columns
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 
@@ -25,12 +25,9 @@ Mask = NDArray[np.bool_]
 
 
 def residual_map(
-    batches: Sequence[Batch],
-    before: tuple[BalanceModel, Array],
-    after: tuple[BalanceModel, Array],
-    settings: ResidualMapSettings,
+    batches: Sequence[Batch], before: Estimate, after: Estimate, settings: ResidualMapSettings
 ) -> ResidualMap:
-    """Return the residual of two models, each with its parameters, given the measured loads.
+    """Return the residual of two estimates, given the measured loads.
 
     Transients, offsets and nonlinear forces are removed from it. Its variance is that of the channel noise and of the
     load noise through the model. Where there are means, the first band holds frequency zero. White residuals have no
@@ -38,12 +35,12 @@ def residual_map(
     """
     edges = _band_edges(batches, settings.bands)
     names = tuple(name for batch in batches for name in batch.run_names)
-    stages = [_whiten(batches, model.system(theta, derivatives=False)) for model, theta in (before, after)]
+    stages = [_whiten(batches, estimate.system(derivatives=False)) for estimate in (before, after)]
     maps = [_rms(batches, whitened, edges) for whitened in stages]
     correlations = [_line_correlation(batches, whitened, settings.lags) for whitened in stages]
     return ResidualMap(
         names,
-        before[0].geometry.channel_names,
+        before.geometry.channel_names,
         edges,
         before=maps[0],
         after=maps[1],

@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, last_round
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.selection.confirm import score_again
@@ -19,26 +16,24 @@ from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import data_chi2
-from balance_cli.model.balance import BalanceModel
-
-Array = NDArray[np.float64]
+from balance_cli.model.balance import Estimate
 
 REASON_WORSE = "with it the data are described worse than before the search"
 
 
 def refuse_worse_update(
-    start: BalanceModel, theta: Array, batches: Sequence[Batch], update: UpdateResult, settings: SearchSettings
+    start: Estimate, batches: Sequence[Batch], update: UpdateResult, settings: SearchSettings
 ) -> UpdateResult:
     """Return an update, without its effects where chi-square against the noise is larger with them than at the start.
 
-    `start` with parameters `theta` (p,) is the model that was updated; `batches`: all lines, weighted by the noise.
+    `start` is the estimate that was updated; `batches`: all lines, weighted by the noise.
     """
-    added = sorted(effect_labels(update.fit.model) - effect_labels(start))
-    before = data_chi2(batches, start.system(theta, derivatives=False))
-    after = data_chi2(batches, update.fit.model.system(update.fit.theta, derivatives=False))
+    added = sorted(effect_labels(update.fit) - effect_labels(start))
+    before = data_chi2(batches, start.system(derivatives=False))
+    after = data_chi2(batches, update.fit.system(derivatives=False))
     if not added or after <= before:
         return update
-    fit = fit_all_lines(start, theta, batches, settings.fit, settings.fit.contender_steps)
+    fit = fit_all_lines(start, batches, settings.fit, settings.fit.contender_steps)
     number = last_round(update.trials) + 1
     removed = tuple(_removal_trial(number, label, before - after) for label in added)
     confirmation = score_again(update.confirmation, fit, batches, settings)

@@ -54,7 +54,7 @@ def effect_worth(
     linear response, such as offsets of loads, tones and nonlinear forces. The zero of a channel moves no harmonic load
     of a linear model.
     """
-    if effect.effect.is_zero_reading and not fit.model.system(fit.theta).equations.has_nonlinear_terms:
+    if effect.effect.is_zero_reading and not fit.system().equations.has_nonlinear_terms:
         return dict.fromkeys(_swept_components(batches), 0.0)
     harmonics = _harmonics(fit, batches, settings)
     if harmonics is None or effect.effect.needs_mean:
@@ -92,7 +92,7 @@ def _swept_components(batches: Sequence[Batch]) -> list[str]:
 
 def _harmonics(fit: Fit, batches: Sequence[Batch], settings: WorthSettings) -> _Harmonics | None:
     """The harmonics of the rotor speed within the swept band; None where there are none, or too few channels."""
-    rotor, sweeps = fit.model.geometry.rotor, [batch for batch in batches if not batch.is_static]
+    rotor, sweeps = fit.geometry.rotor, [batch for batch in batches if not batch.is_static]
     speed = rotor.speed if rotor else max((batch.spin for batch in sweeps), default=0.0)
     highest = max((float(batch.frequency[-1]) for batch in sweeps), default=0.0)
     frequency = np.asarray(speed * np.arange(1.0, settings.harmonics + 1.0), float)
@@ -120,7 +120,7 @@ def _channel_variance(sweeps: Sequence[Batch], frequency: float) -> Array:
 
 
 def _worth(fit: Fit, lacking: System, harmonics: _Harmonics) -> dict[str, float]:
-    system, swept = fit.model.system(fit.theta), harmonics.components
+    system, swept = fit.system(), harmonics.components
     solution = solve(system, harmonics.frequency)
     T = response(system, solution)[:, :, swept]
     T0 = response(lacking, solve(lacking, harmonics.frequency))[:, :, swept]

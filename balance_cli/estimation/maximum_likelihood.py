@@ -13,7 +13,7 @@ from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.starting_values import add_weak_priors
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import BalanceModel, Estimate
 
 Array = NDArray[np.float64]
 
@@ -54,8 +54,7 @@ def fit_maximum_likelihood(
 
 
 def take_first_steps(
-    model: BalanceModel,
-    theta: Array,
+    start: Estimate,
     batches: Sequence[Batch],
     count: int,
     prior_scales: float,
@@ -63,15 +62,16 @@ def take_first_steps(
     known: Curvature | None = None,
     deadline: Deadline | None = None,
 ) -> Minimum:
-    """Take at most `count` steps from `theta`, with weak priors of `prior_scales` scales on parameters without one.
+    """Take at most `count` steps from `start`, with weak priors of `prior_scales` scales on parameters without one.
 
     As long as an effect is small, the data have no information on the parameters of its shape, and steps along these
     would delay all others. The fit ends when the predicted decrease of chi-square is less than `min_decrease`. The weak
     priors are no part of `total`. `known` and `deadline`: as in a whole fit.
     """
+    model = start.model
     minimum = minimize(
-        add_weak_priors(model.parameters, theta, prior_scales),
-        theta,
+        add_weak_priors(model.parameters, start.theta, prior_scales),
+        start.theta,
         lambda at: data_curvature(batches, model.system(at)),
         lambda at: data_chi2(batches, model.system(at, derivatives=False)),
         iterations=count,
@@ -82,11 +82,11 @@ def take_first_steps(
     return replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta))
 
 
-def penalized_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+def penalized_chi2(estimate: Estimate, batches: Sequence[Batch]) -> float:
     """Chi-square of data and priors; infinite where the parameters are not physical."""
     try:
-        of_priors = prior_curvature(model.parameters, theta).chi2
-        return data_chi2(batches, model.system(theta, derivatives=False)) + of_priors
+        of_priors = prior_curvature(estimate.model.parameters, estimate.theta).chi2
+        return data_chi2(batches, estimate.system(derivatives=False)) + of_priors
     except np.linalg.LinAlgError:
         return float("inf")
 

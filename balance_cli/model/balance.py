@@ -43,6 +43,10 @@ class BalanceModel:
         rigid = rigid_equations(self.geometry, value, dual.parameters)
         return assemble_system(apply_placed_effects(rigid, self.geometry, self.effects, value))
 
+    def at(self, theta: Array | None = None) -> Estimate:
+        """The model with values `theta` (p,) of its parameters, by default the declared ones."""
+        return Estimate(self, self.parameters.value if theta is None else theta)
+
     def free_all_parameters(self) -> BalanceModel:
         """The same model with derivatives for every parameter, including exact ones."""
         sigma = np.where(self.parameters.sigma > 0, self.parameters.sigma, self.parameters.scale)
@@ -56,6 +60,23 @@ class BalanceModel:
         """The same model with its effects held at their declared values, for which no tolerance is declared."""
         sigma = self.parameters.sigma
         return self.with_sigma(np.where(np.isfinite(sigma), sigma, 0.0))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A model with values `theta` (p,) of its parameters, fitted ones or those from which a fit starts."""
+
+    model: BalanceModel
+    theta: Array
+
+    @property
+    def geometry(self) -> Geometry:
+        """The geometry with the effects of the model."""
+        return self.model.geometry
+
+    def system(self, derivatives: bool = True) -> System:
+        """The system at these values, as `BalanceModel.system`."""
+        return self.model.system(self.theta, derivatives)
 
 
 def balance_model(geometry: Geometry) -> BalanceModel:

@@ -18,7 +18,7 @@ from balance_cli.diagnosis.search.extended_models import (
 )
 from balance_cli.diagnosis.search.projected_scores import ParameterIndices
 from balance_cli.model import effects
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import BalanceModel, Estimate
 from balance_cli.model.effects import EffectParameter
 from balance_cli.model.system import System
 
@@ -72,22 +72,22 @@ class ExtendedModel:
         return parameters_of_interest(candidate.placed_effect.parameters)
 
 
-def extended_model(model: BalanceModel, theta: Array, names: Collection[str] | None = None) -> ExtendedModel:
+def extended_model(estimate: Estimate, names: Collection[str] | None = None) -> ExtendedModel:
     """The model with all effects of the library that it lacks, or only those of these names, at their nulls.
 
     A candidate is represented by its first start: `diagnose` tries several, and finds what the best of them finds.
     """
-    everything = candidates(model.geometry)
+    everything = candidates(estimate.geometry)
     chosen = tuple(item for item in everything if names is None or item.effect.name in names)
-    geometry = add_candidates(model.geometry, [(item, 0) for item in chosen])
-    extended, null = extend_model(model, theta, geometry)
+    geometry = add_candidates(estimate.geometry, [(item, 0) for item in chosen])
+    null = extend_model(estimate, geometry)
     tested = [
         [item.placed_effect.full_name(each) for each in parameters_of_interest(item.placed_effect.parameters)]
         for item in chosen
     ]
-    extended = hold_other_parameters(extended, model, {name for each in tested for name in each})
+    extended = hold_other_parameters(null.model, estimate.model, {name for each in tested for name in each})
     indices = ParameterIndices.from_names(free_names(extended), tested)
-    return ExtendedModel(extended, null, chosen, indices, len(everything))
+    return ExtendedModel(extended, null.theta, chosen, indices, len(everything))
 
 
 def effect_names() -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
-from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.balance import Estimate, balance_model
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.steps.identify import build_identified_model, identified_effects
 from balance_cli.steps.static_series import with_load_series
@@ -57,33 +57,34 @@ def diagnose(
     """
     spectra, settings = with_load_series(_check_inputs(model, spectra).in_band(model.band)), settings.begin()
     announce = _Announcer(progress, settings)
-    before = (balance_model(model.geometry), np.array(model.parameters.value, float))
-    zeros = find_zeros(before[0].system(before[1]), spectra, settings.data_tests)
+    before = balance_model(model.geometry).at(np.array(model.parameters.value, float))
+    zeros = find_zeros(before.system(), spectra, settings.data_tests)
     measured, spectra = spectra, add_drift_variance(spectra, zeros.drift)
-    start = add_zeros(*before, zeros.offsets, settings)
+    start = add_zeros(before, zeros.offsets, settings)
     batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
-    quality = model_quality(*before, add_force_noise(batches, before[0].system(before[1], derivatives=False)))
-    update = update_model(*start, spectra, batches, effect_labels(before[0]), announce, settings)
-    update = refuse_worse_update(*start, batches, update, settings)
+    quality = model_quality(before, add_force_noise(batches, before.system(derivatives=False)))
+    update = update_model(start, spectra, batches, effect_labels(before), announce, settings)
+    update = refuse_worse_update(start, batches, update, settings)
     exclusion = _exclusion(start, spectra, batches, update, announce, settings)
     if exclusion is not None:
         spectra, batches, update = exclusion.spectra, exclusion.batches, exclusion.update
-    fit, after = update.fit, (update.fit.model, update.fit.theta)
-    batches = add_force_noise(batches, fit.model.system(fit.theta))
+    fit = update.fit
+    after: Estimate = fit
+    batches = add_force_noise(batches, fit.system())
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
     updated = replace(updated, band=model.band)
-    same_effects = effect_labels(fit.model) == effect_labels(before[0])
+    same_effects = effect_labels(fit) == effect_labels(before)
     if same_effects and exclusion is None and updated.quality.chi2 > quality.chi2:
         # The effects are the same, and a fit that had to carry a model error describes the data worse.
         updated, after = model, before
     residual = residual_map(batches, before, after, settings.residual_map)
-    intervals = mass_intervals(fit.model, fit.theta, batches, settings)
+    intervals = mass_intervals(fit, batches, settings)
     effects = describe_added_effects(
         declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches, settings
     )
     left_out = None if exclusion is None else exclusion.left_out
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
-    drift = share_with_forces(zeros.drift, fit.model.system(fit.theta), measured, settings.data_tests)
+    drift = share_with_forces(zeros.drift, fit.system(), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
     diagnosis, updated = judge_common_delay(judge_number_of_causes(diagnosis), updated)
@@ -115,7 +116,7 @@ def _build_diagnosis(
     verdict = decide_verdict(effects, update, updated, settings, left_out)
     # Something is left out only where all other data are described.
     explained = verdict in (NOTHING_MISSING, EXPLAINED) or left_out is not None
-    scores, updated_geometry = update.confirmation.scores, update.fit.model.geometry
+    scores, updated_geometry = update.confirmation.scores, update.fit.geometry
     # A model that stays has one quality; the one stored with it is that of its identification, without means.
     after = quality if updated is model else updated.quality
     return Diagnosis(
@@ -144,7 +145,7 @@ def _build_diagnosis(
 
 
 def _exclusion(
-    before: tuple[BalanceModel, Array],
+    before: Estimate,
     spectra: Spectra,
     batches: Sequence[Batch],
     update: UpdateResult,
@@ -154,8 +155,8 @@ def _exclusion(
     """The channel or run without which there is nothing to explain, where the update does not explain all data."""
     if update.is_good:
         return None
-    residual = residual_map(batches, before, (update.fit.model, update.fit.theta), settings.residual_map)
-    exclusion = find_exclusion(*before, spectra, residual, announce, settings)
+    residual = residual_map(batches, before, update.fit, settings.residual_map)
+    exclusion = find_exclusion(before, spectra, residual, announce, settings)
     if exclusion is None:
         return None
     trials = (*update.trials, *exclusion.update.trials)

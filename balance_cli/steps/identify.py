@@ -108,7 +108,7 @@ def _identify_physical_form(spectra: Spectra, geometry: Geometry, options: Ident
         minimum, start = _fit_model(model, batches, _loaded_batches(spectra, geometry), options)
         # Along the frequency of a tone chi-square has a minimum for each lobe of the spectrum.
         settings = replace(DEFAULT_SETTINGS, fit=replace(DEFAULT_SETTINGS.fit, comparison_tolerance=TOLERANCE))
-        minimum = refit_at_best_frequency(Fit(model, minimum), model.effects, batches, settings).minimum
+        minimum = refit_at_best_frequency(Fit.at_minimum(model, minimum), model.effects, batches, settings).minimum
         minimum, batches = _weight_by_force_noise(model, minimum, batches)
     return build_identified_model(model, batches, minimum, options.method, start, spectra)
 

@@ -214,7 +214,7 @@ def planning_rig(
         names = ", ".join(item.name for item in model.geometry.effects)
         fault = "is in the paper's form" if model.form == "paper" else f"has effects that cannot be simulated ({names})"
         raise UserError(fault, "MODEL", remedy="Give a model of the physical form, without empirical effects")
-    extended = extended_model(balance_model(model.geometry), model.parameters.value, hall.effects)
+    extended = extended_model(balance_model(model.geometry).at(model.parameters.value), hall.effects)
     settings = record_settings(model.geometry, hall)
     noise = planning_noise(hall.noise, spectra.lines, settings.sample_rate)
     limits = level_limits(model.geometry, hall, settings, extended.system)

@@ -45,7 +45,7 @@ def batches():
 def fit_with(effects, batches):
     geometry = RIG.model_copy(update={"effects": tuple(effects)})
     plain = balance_model(RIG)
-    return fit_all_lines(*extend_model(plain, np.array(plain.parameters.value), geometry), batches, SETTINGS.fit)
+    return fit_all_lines(extend_model(plain.at(), geometry), batches, SETTINGS.fit)
 
 
 @pytest.mark.parametrize("is_over", [True, False])

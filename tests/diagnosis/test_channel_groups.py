@@ -56,7 +56,7 @@ def late():
 def fit_with(spectra, *effects):
     geometry = RIG.model_copy(update={"effects": effects})
     model, batches = balance_model(geometry), stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
-    return fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit), batches
+    return fit_all_lines(model.at(), batches, SETTINGS.fit), batches
 
 
 def labels(geometry):

@@ -42,7 +42,7 @@ def late_channel():
 def started(rig, label):
     """The model of a rig with an effect at its null, and its declared parameters."""
     model = balance_model(rig)
-    return extend_model(model, model.parameters.value, declare(rig, label))
+    return extend_model(model.at(), declare(rig, label))
 
 
 def test_a_fit_that_cannot_reach_the_best_one_is_not_finished(late_channel):
@@ -50,7 +50,7 @@ def test_a_fit_that_cannot_reach_the_best_one_is_not_finished(late_channel):
     other = label.replace(rig.channel_names[0], rig.channel_names[1])
     starts = [started(rig, other), started(rig, label)]
     hopeless, best = fit_contenders(starts, batches, np.inf, SETTINGS.indistinguishable_chi2, HURRIED)
-    finished = [fit_all_lines(*start, batches, SETTINGS.fit) for start in starts]
+    finished = [fit_all_lines(start, batches, SETTINGS.fit) for start in starts]
     assert best.minimum.converged
     assert best.chi2 == pytest.approx(finished[1].chi2, abs=SETTINGS.fit.comparison_tolerance)
     assert hopeless.minimum.iterations == 1
@@ -75,15 +75,17 @@ def test_a_step_of_a_score_leaves_no_parameter_beyond_its_bound(late_channel):
     """The fitted parameters follow the candidate: a loss factor of zero would become negative."""
     rig, label, batches = late_channel
     damped = declare(rig, "structural-damping@all", loss_factor=0.0, causality=0.0)
-    model, theta = extend_model(balance_model(rig), balance_model(rig).parameters.value, damped)
+    start = extend_model(balance_model(rig).at(), damped)
     name = "structural-damping@all.loss_factor"
-    candidate = candidate_at("time-delay", (label.split("@")[1],), model.geometry)
-    (score,) = scores(model, theta, batches, [candidate], SETTINGS.score)
-    free = [item for item, is_free in zip(model.parameters.names, model.parameters.free, strict=True) if is_free]
+    candidate = candidate_at("time-delay", (label.split("@")[1],), start.geometry)
+    (score,) = scores(start, batches, [candidate], SETTINGS.score)
+    free = [
+        item for item, is_free in zip(start.model.parameters.names, start.model.parameters.free, strict=True) if is_free
+    ]
     assert score.fitted_step[free.index(name)] < 0.0
-    extended, at = apply_score_step(model, theta, batches, score, SETTINGS.score)
-    assert at[extended.parameters.index(f"{label}.delay")] > 0.5 * LATE
-    assert at[extended.parameters.index(name)] == 0.0
+    stepped = apply_score_step(start, batches, score, SETTINGS.score)
+    assert stepped.theta[stepped.model.parameters.index(f"{label}.delay")] > 0.5 * LATE
+    assert stepped.theta[stepped.model.parameters.index(name)] == 0.0
 
 
 @pytest.mark.parametrize(("fitted", "centers"), [(50.15, [50.15]), (48.86, [48.86, 50.0]), (61.0, [61.0, 60.0])])
@@ -91,7 +93,7 @@ def test_a_tone_that_left_its_start_is_searched_there_too(fitted, centers):
     """In short random records, whose noise contains the tone, a fit from 50 Hz had ended at 48.86 Hz."""
     rig = rotor_balance()
     effect = candidate_at("mains-pickup", (rig.channel_names[0],), rig).placed_effect
-    fit = SimpleNamespace(model=SimpleNamespace(geometry=rig))
+    fit = SimpleNamespace(geometry=rig)
     frequency = frequency_grid(fitted, effect, fit, SETTINGS.mains)
     assert frequency.min() == pytest.approx(min(centers) - SETTINGS.mains.search_range)
     assert frequency.max() == pytest.approx(max(centers) + SETTINGS.mains.search_range)

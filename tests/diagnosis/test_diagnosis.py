@@ -145,34 +145,35 @@ def test_gain_of_one_parameter_is_that_beside_one_without_information(s, bounds)
 
 def test_a_score_is_what_a_refit_gains(late):
     model, batches = balance_model(RIG), lines_of(late)
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     one = candidate_at("time-delay", ("z1.piezo",), RIG)
-    (score,) = scores(model, fit.theta, batches, [one], SETTINGS.score)
-    wide, theta = extend_model(model, fit.theta, add_candidates(RIG, [(one, 0)]))
-    gained = fit.chi2 - fit_all_lines(wide, theta, batches, SETTINGS.fit).chi2
+    (score,) = scores(fit, batches, [one], SETTINGS.score)
+    wide = extend_model(fit, add_candidates(RIG, [(one, 0)]))
+    gained = fit.chi2 - fit_all_lines(wide, batches, SETTINGS.fit).chi2
     assert score.gain > 50.0
     assert score.gain == pytest.approx(gained, rel=0.02)
 
 
 def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
     model, batches = balance_model(RIG), lines_of(late)
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
-    found = score_in_two_stages(model, fit.theta, batches, candidates(RIG), SETTINGS)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
+    found = score_in_two_stages(fit, batches, candidates(RIG), SETTINGS)
     found = sorted(found, key=lambda score: -score.gain)
     labels = [score.candidate.label for score in found[:2]]
     assert "time-delay@z1.piezo" in labels
     true = next(score for score in found if score.candidate.label == "time-delay@z1.piezo")
-    assert cross_validation_gain(model, fit.theta, batches, true, SETTINGS) > 0.5 * true.gain
+    assert cross_validation_gain(fit, batches, true, SETTINGS) > 0.5 * true.gain
     chance = next(score for score in found if 0.0 < score.gain < 0.5)
-    assert cross_validation_gain(model, fit.theta, batches, chance, SETTINGS) < 2.0
+    assert cross_validation_gain(fit, batches, chance, SETTINGS) < 2.0
 
 
 def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
     """At its null a mast has no compliance and no equation of motion, and LAPACK is not asked for one."""
     model, mast = balance_model(RIG), candidate_at("mast-bending", ("x",), RIG)
-    wide, null = extend_model(model, model.parameters.value, add_candidates(RIG, [(mast, 0)]))
-    found = start_from_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null)
-    np.testing.assert_array_equal(found, null)
+    null = extend_model(model.at(), add_candidates(RIG, [(mast, 0)]))
+    wide = null.model
+    found = start_from_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null.theta)
+    np.testing.assert_array_equal(found, null.theta)
     assert capfd.readouterr() == ("", "")
 
 
@@ -229,7 +230,7 @@ def test_candidates_leave_out_what_the_rig_has():
 
 def test_no_model_error_where_nothing_is_wrong(healthy):
     model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     shares = estimate_model_error(batches, model.system(fit.theta), sigma_limit=3.0)
     assert set(shares.values()) == {0.0}
     assert add_model_error(batches, shares) == batches
@@ -239,7 +240,7 @@ def test_no_model_error_where_nothing_is_wrong(healthy):
 def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
     """All stiffnesses and masses as they are, every sensitivity of what is measured two per cent off by chance."""
     model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     theta = fit.theta.copy()
     rng = np.random.default_rng(4)
     for i, name in enumerate(model.parameters.names):
@@ -315,11 +316,9 @@ def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest(
 def test_a_better_alternative_replaces_an_effect(late):
     """A crosstalk describes part of a delay. So weak an effect is compared with all candidates."""
     wrong = candidate_at("crosstalk", ("z1.piezo", "x.piezo"), RIG)
-    model, theta = extend_model(
-        balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(wrong, 0)])
-    )
+    start = extend_model(balance_model(RIG).at(), add_candidates(RIG, [(wrong, 0)]))
     batches = lines_of(late)
-    fit = fit_all_lines(model, theta, batches, SETTINGS.fit)
+    fit = fit_all_lines(start, batches, SETTINGS.fit)
     found = compare_alternatives(fit, batches, (), {}, 400, 2, lambda what: None, SETTINGS)
     assert (
         set(found.effect_support) == {"time-delay@z1.piezo"}
@@ -343,10 +342,8 @@ def test_small_effects_are_dropped_beside_a_large_residual():
     """A channel that bends is in no file of effects; a gain that takes a little off what it leaves is no finding."""
     batches = lines_of(simulated_spectra(BENDS))
     small = candidate_at("channel-gain", ("y2.strain",), RIG)
-    model, theta = extend_model(
-        balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(small, 0)])
-    )
-    fit = fit_all_lines(model, theta, batches, SETTINGS.fit)
+    start = extend_model(balance_model(RIG).at(), add_candidates(RIG, [(small, 0)]))
+    fit = fit_all_lines(start, batches, SETTINGS.fit)
     unexplained = unexplained_chi2(fit, batches, (), SETTINGS.fit)
     assert unexplained > 1e3
     # Of runs whose weights carry a model error all of chi-square is unexplained.
@@ -373,8 +370,8 @@ def stiff():
     """Lines and fit of a campaign with a large mechanical effect."""
     batches = lines_of(simulated_spectra(STIFF, plan=TOGETHER))
     known = candidate_at("transverse-stiffness", ("all",), RIG)
-    start = extend_model(balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(known, 0)]))
-    return batches, fit_all_lines(*start, batches, SETTINGS.fit)
+    start = extend_model(balance_model(RIG).at(), add_candidates(RIG, [(known, 0)]))
+    return batches, fit_all_lines(start, batches, SETTINGS.fit)
 
 
 def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
@@ -401,22 +398,22 @@ def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
 
 def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):
     batches, _ = stiff
-    plain = fit_all_lines(balance_model(RIG), balance_model(RIG).parameters.value, batches, SETTINGS.fit)
+    plain = fit_all_lines(balance_model(RIG).at(), batches, SETTINGS.fit)
     path = candidate_at("parallel-stiffness", (), RIG)
-    (score,) = scores(plain.model, plain.theta, batches, [path], SETTINGS.score)
+    (score,) = scores(plain, batches, [path], SETTINGS.score)
     assert score.gain > SETTINGS.selection.strong_gain
     ends = []
 
-    def creeping(model, theta, batches, settings):
+    def creeping(start, batches, settings):
         """The first two fits stop far above a minimum."""
-        minimum = fit_all_lines(model, theta, batches, SETTINGS.fit).minimum
+        minimum = fit_all_lines(start, batches, SETTINGS.fit).minimum
         early = len(ends) < 2
         total = replace(minimum.total, chi2=minimum.total.chi2 + 1e6 * early)
-        ends.append(Fit(model, replace(minimum, total=total, converged=not early)))
+        ends.append(Fit.at_minimum(start.model, replace(minimum, total=total, converged=not early)))
         return ends[-1]
 
     monkeypatch.setattr(candidate_refits, "fit_all_lines", creeping)
-    monkeypatch.setattr(candidate_refits, "continue_fit", lambda fit, *rest: creeping(fit.model, fit.theta, *rest))
+    monkeypatch.setattr(candidate_refits, "continue_fit", creeping)
     found = candidate_refits.refit_with_candidate(plain, score, batches, None, SETTINGS)
     assert len(ends) == 4
     assert found is ends[3]
@@ -435,8 +432,7 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
         name="mains-pickup", where=("y2.strain",), parameters={"amplitude": 1e-3, "frequency": 50.2}
     )
     model = balance_model(RIG.model_copy(update={"effects": (beside,)}))
-    start = np.array(model.parameters.value)
-    stuck = fit_all_lines(model, start, batches, SETTINGS.fit)
+    stuck = fit_all_lines(model.at(), batches, SETTINGS.fit)
     found = refit_at_best_frequency(stuck, declared_effects(model.geometry), batches, SETTINGS)
     place = model.parameters.index("mains-pickup@y2.strain.frequency")
     assert abs(stuck.theta[place] - 50.02) > 0.1
@@ -446,7 +442,7 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
     assert refit_at_best_frequency(found, declared_effects(model.geometry), batches, SETTINGS) is found
     sigma = np.array(model.parameters.sigma)
     sigma[place] = 0.0
-    held = fit_all_lines(model.with_sigma(sigma), start, batches, SETTINGS.fit)
+    held = fit_all_lines(model.with_sigma(sigma).at(), batches, SETTINGS.fit)
     assert refit_at_best_frequency(held, declared_effects(model.geometry), batches, SETTINGS) is held
 
 
@@ -456,7 +452,7 @@ def test_mains_are_scored_on_their_lines_however_few_are_screened_and_found_when
     batches, model = lines_of(spectra), balance_model(RIG)
     few = replace(SETTINGS, score=replace(SETTINGS.score, screening_lines=100, full_score_candidates=4))
     pool = [one for one in candidates(RIG) if one.effect.name in ("mains-pickup", "channel-gain")]
-    found = max(score_in_two_stages(model, model.parameters.value, batches, pool, few), key=lambda score: score.gain)
+    found = max(score_in_two_stages(model.at(), batches, pool, few), key=lambda score: score.gain)
     assert found.candidate.label == "mains-pickup@z3.piezo"
     assert found.candidate.starts[found.start] == {"frequency": 60.0}
     beside = DeclaredEffect(
@@ -471,12 +467,10 @@ def test_beside_large_friction_small_effects_are_confounded(stiff):
     batches, fit = stiff
     assert confounding_limit(fit, batches) == (0.0, "")
     friction = candidate_at("dry-friction", ("z1",), RIG)
-    model, theta = extend_model(
-        fit.model, fit.theta, add_candidates(fit.model.geometry, [(friction, 0)], at_start_values=True)
-    )
-    beside = fit_all_lines(model, theta, batches, SETTINGS.fit)
+    start = extend_model(fit, add_candidates(fit.geometry, [(friction, 0)], at_start_values=True))
+    beside = fit_all_lines(start, batches, SETTINGS.fit)
     (worth,) = (
-        effect_wald_statistic(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label
+        effect_wald_statistic(beside, one) for one in declared_effects(start.geometry) if one.label == friction.label
     )
     assert confounding_limit(beside, batches) == (pytest.approx(1e-4 * worth[0]), friction.label)
 
@@ -539,9 +533,8 @@ def test_what_resonates_without_a_cause_is_described_and_named_as_empirical(reso
 def with_and_without(label, spectra):
     """Labels of the effects after unmodelled modes are added with and without an effect, and the labels removed."""
     known = candidate_at(label.partition("@")[0], tuple(label.partition("@")[2].split(",")), RIG)
-    start = balance_model(RIG)
-    bare = (start, start.parameters.value)
-    extended = extend_model(*bare, add_candidates(RIG, [(known, 0)], at_start_values=True))
+    bare = balance_model(RIG).at()
+    extended = extend_model(bare, add_candidates(RIG, [(known, 0)], at_start_values=True))
     state, trials = add_unmodelled_modes(
         [extended, bare], search_lines(spectra, RIG.channel_names, SETTINGS.fit), 1, lambda _: False, SETTINGS
     )

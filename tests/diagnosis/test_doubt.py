@@ -34,7 +34,7 @@ def fit_with(effect, *true_effects, noise=1e-4):
     runs = [model_lines(truth, name, i, frequency, noise, rng) for name, i in (("Fz", 2), ("My", 4))]
     batches = stack_runs(runs, (), RIG.channel_names)
     model = balance_model(RIG.model_copy(update={"effects": (effect,)}))
-    return fit_all_lines(model, model.parameters.value, batches, DEFAULT_SETTINGS.fit), batches
+    return fit_all_lines(model.at(), batches, DEFAULT_SETTINGS.fit), batches
 
 
 def delay(periods):

@@ -69,7 +69,7 @@ def test_all_of_them_are_fitted_at_once():
     batches = stack_runs([run.select(np.arange(len(run.frequency)) % 5 == 0) for run in runs], (), RIG.channel_names)
     lines = SearchLines(batches, batches)
     model = balance_model(RIG)
-    state = fit_until_stable(model, model.parameters.value, lines, SETTINGS.fit)
+    state = fit_until_stable(model.at(), lines, SETTINGS.fit)
     found, trials, gains = add_all_by_whole_fit(state, late_channels(runs, RIG, SETTINGS), lines, SETTINGS)
     assert found.error < 3e-3 < SETTINGS.rounds.stuck_error < state.error
     assert set(gains) == {trial.label for trial in trials} == {f"time-delay@{name}" for name in HALF}

@@ -19,29 +19,27 @@ CLOSE = replace(SETTINGS.fit, comparison_tolerance=0.01)
 def declared():
     """A mass of 0.6 kg beside tolerances: a gain of 500, and a long valley."""
     campaign = Campaign(DECLARED, 0.6)
-    model, theta = campaign.begun_at(0)
-    return campaign, fit_all_lines(
-        model, refine_point_mass(model, theta, campaign.batches, SETTINGS), campaign.batches, SETTINGS.fit
-    )
+    start = refine_point_mass(campaign.begun_at(0), campaign.batches, SETTINGS)
+    return campaign, fit_all_lines(start, campaign.batches, SETTINGS.fit)
 
 
 def test_at_the_ends_refits_lose_what_they_should(declared):
     """With mass and place held there and all else fitted anew, by the likelihood of all lines."""
     campaign, fit = declared
-    region = mass_region(fit.model, fit.theta, campaign.batches, SETTINGS)
+    region = mass_region(fit, campaign.batches, SETTINGS)
     at = mass_and_place(fit.model)
     held = fit.model.with_sigma(np.where(np.isin(np.arange(len(fit.theta)), at), 0.0, fit.model.parameters.sigma))
     for mass_and_place_there in (region.ends[0, 0], region.ends[0, 1], region.ends[1, 0], region.ends[3, 1]):
         theta = fit.theta.copy()
         theta[at] = mass_and_place_there
-        rise = fit_all_lines(held, theta, campaign.batches, CLOSE).chi2 - fit.chi2
+        rise = fit_all_lines(held.at(theta), campaign.batches, CLOSE).chi2 - fit.chi2
         assert rise == pytest.approx(CHI2_95, abs=0.4)
 
 
 def test_a_mass_is_outside_where_refits_with_it_say_so(declared):
     """By the likelihood with nothing but the mass held: the truth is one in twenty that lie outside."""
     campaign, fit = declared
-    intervals = mass_intervals(fit.model, fit.theta, campaign.batches, SETTINGS)
+    intervals = mass_intervals(fit, campaign.batches, SETTINGS)
     assert list(intervals) == [f"added-mass.{name}" for name in ("mass", "x", "y", "z")]
     lower, upper = intervals["added-mass.mass"]
     at = mass_and_place(fit.model)
@@ -53,14 +51,14 @@ def test_a_fit_that_is_not_at_its_minimum_has_no_region(declared):
     campaign, fit = declared
     theta = fit.theta.copy()
     theta[mass_and_place(fit.model)[0]] *= -1.0
-    assert mass_intervals(fit.model, theta, campaign.batches, SETTINGS) == {}
+    assert mass_intervals(fit.model.at(theta), campaign.batches, SETTINGS) == {}
 
 
 def rise_with_mass_held(campaign, fit, at, mass):
     sigma = np.where(np.arange(len(fit.theta)) == at, 0.0, fit.model.parameters.sigma)
     theta = fit.theta.copy()
     theta[at] = mass
-    return fit_all_lines(fit.model.with_sigma(sigma), theta, campaign.batches, CLOSE).chi2 - fit.chi2
+    return fit_all_lines(fit.model.with_sigma(sigma).at(theta), campaign.batches, CLOSE).chi2 - fit.chi2
 
 
 def test_where_nothing_else_does_the_same_it_is_that_of_sigma():
@@ -70,7 +68,7 @@ def test_where_nothing_else_does_the_same_it_is_that_of_sigma():
     free = np.flatnonzero(fit.model.parameters.free)
     covariance = np.linalg.inv(fit.minimum.total.information)
     sigma = np.sqrt(np.diag(covariance))[np.searchsorted(free, at)]
-    intervals = mass_region(fit.model, fit.theta, campaign.batches, SETTINGS).intervals
+    intervals = mass_region(fit, campaign.batches, SETTINGS).intervals
     half = np.sqrt(CHI2_95) * sigma
     np.testing.assert_allclose(intervals, fit.theta[at][:, None] + half[:, None] * [-1.0, 1.0], atol=0.05 * half.max())
     np.testing.assert_allclose((intervals[:, 1] - intervals[:, 0]) / (2.0 * half), 1.0, atol=0.05)
@@ -80,7 +78,7 @@ def test_no_place_found_by_chance_lies_outside(declared):
     """A million places, half of them about the best one: none within 3.84 is beyond the ends by a hundredth."""
     campaign, fit = declared
     at = np.array(mass_and_place(fit.model))
-    masses = score_without_point_mass(fit.model, fit.theta, campaign.batches, at, SETTINGS.point_mass)
+    masses = score_without_point_mass(fit, campaign.batches, at, SETTINGS.point_mass)
     region = search_mass_region(masses, fit.theta[at[1:]], 1.5, SETTINGS.mass_region)
     rng = np.random.default_rng(3)
     places = np.vstack([rng.uniform(-1.5, 1.5, (500_000, 3)), fit.theta[at[1:]] + 0.3 * rng.normal(size=(500_000, 3))])
@@ -104,5 +102,5 @@ def _gain_at(masses, mass_and_place_there):
 
 def test_a_model_without_a_mass_has_none(declared):
     campaign, _ = declared
-    assert mass_region(campaign.fit.model, campaign.fit.theta, campaign.batches, SETTINGS) is None
-    assert mass_intervals(campaign.fit.model, campaign.fit.theta, campaign.batches, SETTINGS) == {}
+    assert mass_region(campaign.fit, campaign.batches, SETTINGS) is None
+    assert mass_intervals(campaign.fit, campaign.batches, SETTINGS) == {}

@@ -37,7 +37,7 @@ def wide():
     ]
     batches = stack_runs(lines, [], rig.channel_names)
     model = balance_model(rig.model_copy(update={"effects": (_support("x", "y", "z", x=1e-9, y=1e-9, z=COMPLIANCE),)}))
-    return fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit, 4), batches
+    return fit_all_lines(model.at(), batches, SETTINGS.fit, 4), batches
 
 
 def test_needless_motions_are_removed_by_one_refit(wide, monkeypatch):
@@ -73,9 +73,9 @@ def test_a_refit_without_an_effect_is_made_once_for_a_fit_its_lines_and_settings
     fit, batches = wide
     fit, fits = replace(fit, reduced={}), []
 
-    def counted(model, theta, batches, settings, iterations=1):
+    def counted(start, batches, settings, iterations=1):
         fits.append(len(batches))
-        return fit_all_lines(model, theta, batches, settings, iterations)
+        return fit_all_lines(start, batches, settings, iterations)
 
     monkeypatch.setattr(effect_selection, "fit_all_lines", counted)
     (support,) = declared_effects(fit.model.geometry)
@@ -95,14 +95,14 @@ def test_an_effect_that_a_stopped_fit_left_off_its_null_is_needless():
     batches = stack_runs([noisy_lines(rig, np.random.default_rng(5), ("Fx", "My", "Fz"))], [], rig.channel_names)
     gain = DeclaredEffect(name="channel-gain", where=("x.strain",), parameters={"gain": 1.0})
     model = balance_model(rig.model_copy(update={"effects": (gain,)}))
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     (effect,) = declared_effects(model.geometry)
     (item,) = effect.parameters
     place = model.parameters.index(effect.full_name(item))
     variance = np.diag(covariance_from_information(fit.minimum.total.information))
     moved = fit.theta.copy()
     moved[place] = 1.0 + 40.0 * np.sqrt(variance[np.flatnonzero(model.parameters.free) == place][0])
-    stopped = fit_all_lines(model, moved, batches, SETTINGS.fit, 0)
+    stopped = fit_all_lines(model.at(moved), batches, SETTINGS.fit, 0)
     assert not stopped.minimum.converged
     as_it_stands = replace(stopped, minimum=replace(stopped.minimum, converged=True))
     assert effect_wald_statistic(as_it_stands, effect)[0] > 1000.0

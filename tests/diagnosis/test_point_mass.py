@@ -48,12 +48,12 @@ def test_ten_masses_make_one_at_any_place():
 
 def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
     fit, batches = weighed.fit, weighed.batches
-    ten = mass_score.score_of_masses(fit.model, fit.theta, batches, SETTINGS.point_mass)
+    ten = mass_score.score_of_masses(fit, batches, SETTINGS.point_mass)
     one = candidate_at("added-mass", (), WEIGHED).placed_effect
     for place in (np.array(PLACE), *np.random.default_rng(1).uniform(-0.5, 0.5, (4, 3))):
         (c,) = mass_score.mass_weights(place[None])
         there = Candidate(one, (dict(zip("xyz", map(float, place), strict=True)),))
-        (score,) = scores(fit.model, fit.theta, batches, [there], SETTINGS.score)
+        (score,) = scores(fit, batches, [there], SETTINGS.score)
         assert (c @ ten.s) ** 2 / (c @ ten.V @ c) == pytest.approx(score.gain, rel=1e-6)
         assert c @ ten.s / (c @ ten.V @ c) == pytest.approx(score.step[0], rel=1e-6)
 
@@ -61,7 +61,7 @@ def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
 def test_beside_tolerances_no_information_is_negative(declared):
     """Mass, centre of gravity and inertia do what the ten do: all but a billionth of it is theirs."""
     fit, batches = declared.fit, declared.batches
-    ten = mass_score.score_of_masses(fit.model, fit.theta, batches, SETTINGS.point_mass)
+    ten = mass_score.score_of_masses(fit, batches, SETTINGS.point_mass)
     information = np.linalg.eigvalsh(ten.V)
     assert information[0] > 0.0
     assert information[0] < 1e-9 * np.linalg.eigvalsh(ten.raw)[-1]
@@ -88,49 +88,49 @@ def test_no_other_place_gains_more(weighed):
     """Neither hub nor cells, which the effect names, nor any of many by chance."""
     fit, batches = weighed.fit, weighed.batches
     one = candidate_at("added-mass", (), WEIGHED)
-    (best,) = score_in_two_stages(fit.model, fit.theta, batches, [one], SETTINGS)
-    (named,) = scores(fit.model, fit.theta, batches, [one], SETTINGS.score)
+    (best,) = score_in_two_stages(fit, batches, [one], SETTINGS)
+    (named,) = scores(fit, batches, [one], SETTINGS.score)
     assert best.parameters == named.parameters + 3
     assert best.gain > 1.1 * named.gain
-    ten = mass_score.score_of_masses(fit.model, fit.theta, batches, SETTINGS.point_mass)
+    ten = mass_score.score_of_masses(fit, batches, SETTINGS.point_mass)
     c = mass_score.mass_weights(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * position_bound(WEIGHED))
     assert np.max((c @ ten.s) ** 2 / np.sum((c @ ten.V) * c, axis=1)) < best.gain
 
 
 def test_mass_and_place_are_refined_to_where_a_fit_from_the_truth_ends(declared):
     """Along mass against arm chi-square is a narrow valley: without this, ten steps end hundreds above."""
-    model, theta = declared.begun_at(0)
+    start = declared.begun_at(0)
     truth = declared.fit_from_the_truth()
-    refined = refine_point_mass(model, theta, declared.batches, SETTINGS)
-    assert penalized_chi2(model, refined, declared.batches) < truth.chi2 + 1.0
-    assert fit_all_lines(model, refined, declared.batches, SETTINGS.fit).chi2 < truth.chi2 + 1.0
-    assert start_fit(model, theta, declared.batches, SETTINGS.fit).chi2 > truth.chi2 + 200.0
+    refined = refine_point_mass(start, declared.batches, SETTINGS)
+    assert penalized_chi2(refined, declared.batches) < truth.chi2 + 1.0
+    assert fit_all_lines(refined, declared.batches, SETTINGS.fit).chi2 < truth.chi2 + 1.0
+    assert start_fit(start, declared.batches, SETTINGS.fit).chi2 > truth.chi2 + 200.0
 
 
 def test_a_mass_begun_with_the_wrong_sign_is_refined_to_where_it_is(weighed):
-    model, theta = weighed.begun_at(0)
+    start = weighed.begun_at(0)
+    model = start.model
     truth = weighed.fit_from_the_truth()
-    refined = refine_point_mass(model, theta, weighed.batches, SETTINGS)
-    assert penalized_chi2(model, refined, weighed.batches) < truth.chi2 + 1.0
+    refined = refine_point_mass(start, weighed.batches, SETTINGS)
+    assert penalized_chi2(refined, weighed.batches) < truth.chi2 + 1.0
     sigma = np.sqrt(np.diag(np.linalg.inv(truth.minimum.total.information)))
     free = list(np.flatnonzero(model.parameters.free))
     for index, true in zip(mass_and_place(model), (-0.3, *PLACE), strict=True):
-        assert abs(refined[index] - true) < 4.0 * sigma[free.index(index)]
-    assert fit_all_lines(model, theta, weighed.batches, SETTINGS.fit).chi2 > truth.chi2 + 1e4
+        assert abs(refined.theta[index] - true) < 4.0 * sigma[free.index(index)]
+    assert fit_all_lines(start, weighed.batches, SETTINGS.fit).chi2 > truth.chi2 + 1e4
 
 
 def test_what_follows_a_mass_stays_within_its_bounds():
     """The step of the mass would take a low-pass and a loss factor below zero, where no rig is."""
     it = Campaign(add_effects(DECLARED, ["low-pass@z1.piezo", "structural-damping@z1"]), 2.0, (0.15, -0.1, 0.1), 3)
-    model, theta = it.begun_at(0)
-    refined = refine_point_mass(model, theta, it.batches, SETTINGS)
-    assert np.all((refined >= model.parameters.lower) & (refined <= model.parameters.upper))
-    assert penalized_chi2(model, refined, it.batches) < it.fit.chi2 - 1000.0
+    refined = refine_point_mass(it.begun_at(0), it.batches, SETTINGS)
+    model, theta = refined.model, refined.theta
+    assert np.all((theta >= model.parameters.lower) & (theta <= model.parameters.upper))
+    assert penalized_chi2(refined, it.batches) < it.fit.chi2 - 1000.0
 
 
 def test_without_a_mass_nothing_is_settled(declared):
-    theta = declared.fit.theta
-    assert refine_point_mass(declared.fit.model, theta, declared.batches, SETTINGS) is theta
+    assert refine_point_mass(declared.fit, declared.batches, SETTINGS) is declared.fit
 
 
 def test_a_rig_that_cannot_move_in_all_ways_keeps_its_candidates():
@@ -138,9 +138,8 @@ def test_a_rig_that_cannot_move_in_all_ways_keeps_its_candidates():
     pool = candidates(rig)
     assert "added-mass" in {one.label for one in pool}
     model = balance_model(rig)
-    for kept, one in zip(place_mass_candidates(pool, model, model.parameters.value, (), SETTINGS), pool, strict=True):
+    for kept, one in zip(place_mass_candidates(pool, model.at(), (), SETTINGS), pool, strict=True):
         assert kept is one
     both = rig.model_copy(update={"effects": (DeclaredEffect(name="added-mass"),)})
-    model = balance_model(both)
-    theta = model.parameters.value
-    assert refine_point_mass(model, theta, (), SETTINGS) is theta
+    start = balance_model(both).at()
+    assert refine_point_mass(start, (), SETTINGS) is start

@@ -11,7 +11,7 @@ from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.model.balance import balance_model
+from balance_cli.model.balance import Estimate, balance_model
 from balance_cli.signals.run_spectrum import StaticPoints
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
@@ -21,12 +21,12 @@ PLAN = {"period": 4.0, "periods": 9, "band": (2.0, 120.0)}
 MODEL = balance_model(RIG)
 
 
-def select(**changes: float) -> tuple:
+def select(**changes: float) -> Estimate:
     """The model with some of its declared values multiplied."""
     theta = MODEL.parameters.value.copy()
     for name, factor in changes.items():
         theta[MODEL.parameters.index(name)] *= factor
-    return MODEL, theta
+    return MODEL.at(theta)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
     batches = stack_runs(lines, [], rig.channel_names)
     model = balance_model(rig)
     theta = model.parameters.value * 1.003
-    residual = residual_map(batches, (model, theta), (model, theta), SETTINGS.residual_map)
+    residual = residual_map(batches, model.at(theta), model.at(theta), SETTINGS.residual_map)
     counts = np.histogram(lines[0].frequency, np.append(residual.edges[:-1], np.inf))[0]
     total = 2.0 * np.sum(counts * residual.after[0, :, 0] ** 2)
     held = sum(2.0 for _ in lines)
@@ -164,7 +164,7 @@ def test_a_rig_with_all_its_channels():
     runs, _ = simulate_campaign(true_rig(rig), CampaignPlan(runs=(plan,)), seed=2)
     batches = stack_runs(measured_spectra(runs, rig).lines, [], rig.channel_names)
     model = balance_model(rig)
-    truth = (model, model.parameters.value)
+    truth = model.at()
     residual = residual_map(batches, truth, truth, SETTINGS.residual_map)
     rms = np.sqrt(np.mean(residual.after[0] ** 2, axis=0))
     np.testing.assert_allclose(rms, 1.0, atol=0.1)

@@ -46,7 +46,7 @@ def test_a_motion_that_a_fit_has_lost_is_found_again():
     place = true.parameters.index(name)
     begun_rigid = true.parameters.value.copy()
     begun_rigid[place] *= 1e-9
-    stuck = fit_until_stable(true, begun_rigid, lines, DEFAULT_SETTINGS.fit)
+    stuck = fit_until_stable(true.at(begun_rigid), lines, DEFAULT_SETTINGS.fit)
     assert stuck.error > 0.5
     assert stuck.theta[place] < 1e-6 * true.parameters.value[place]
     found = restart_one_by_one(stuck, lines, DEFAULT_SETTINGS)
@@ -57,7 +57,7 @@ def test_a_motion_that_a_fit_has_lost_is_found_again():
 def test_a_model_without_such_effects_stays():
     rigid = balance_model(two_degrees_of_freedom())
     lines = search_lines_of(supported_model())
-    state = fit_until_stable(rigid, rigid.parameters.value.copy(), lines, DEFAULT_SETTINGS.fit)
+    state = fit_until_stable(rigid.at(), lines, DEFAULT_SETTINGS.fit)
     assert restart_one_by_one(state, lines, DEFAULT_SETTINGS) is state
 
 
@@ -82,7 +82,7 @@ def test_a_state_that_no_restart_has_improved_is_not_restarted_again(monkeypatch
     monkeypatch.setattr(search, "fit_until_stable", lambda *_: stuck)
     monkeypatch.setattr(search, "search_round", lambda *_: RoundResult(None))
     monkeypatch.setattr(search, "restart_if_better", lambda state, *_: restarted.append(state))
-    result = search.search(model, stuck.theta, SearchLines((), ()), lambda what: False, (), tuple, DEFAULT_SETTINGS)
+    result = search.search(stuck, SearchLines((), ()), lambda what: False, (), tuple, DEFAULT_SETTINGS)
     assert result.state is stuck
     assert len(restarted) == 1
 
@@ -91,9 +91,9 @@ def test_restarts_that_describe_little_more_are_not_repeated(monkeypatch):
     """Of a support that hardens, twelve fits were made four times over, each for a thousandth of the error."""
     model, fits = supported_model(), []
 
-    def fit_slightly_better(of_model, theta, **_):
-        fits.append(theta)
-        return SearchState(of_model, theta, {"sweep-Fz": 0.35 - 1e-4 * len(fits)}, -100.0 * len(fits), 0.0)
+    def fit_slightly_better(start, **_):
+        fits.append(start)
+        return SearchState(start.model, start.theta, {"sweep-Fz": 0.35 - 1e-4 * len(fits)}, -100.0 * len(fits), 0.0)
 
     monkeypatch.setattr(restarts, "fit_until_stable", fit_slightly_better)
     state = SearchState(model, model.parameters.value, {"sweep-Fz": 0.35}, 0.0, 0.0)

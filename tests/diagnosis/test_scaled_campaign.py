@@ -92,11 +92,11 @@ def test_a_body_that_nobody_declared_relieves_the_declared_center_of_gravity():
     assert [item.name for item in declared_agreement(found).departures] == ["centre_of_gravity.z"]
     model, theta = balance_model(geometry), found.parameters.value
     batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
-    (score,) = score_in_two_stages(model, theta, batches, [candidate_at("added-mass", (), geometry)], SETTINGS)
+    (score,) = score_in_two_stages(model.at(theta), batches, [candidate_at("added-mass", (), geometry)], SETTINGS)
     start = score.candidate.starts[score.start]
     assert score.p_value < 1e-10
     assert start["damping_share"] == 1.0
     assert float(score.step[0]) == pytest.approx(20.0, rel=0.2)
     assert [start[axis] for axis in "xyz"] == pytest.approx(place, abs=0.06)
     # The declared values are data: what they alone support is not refused for lack of a line that does.
-    assert not cross_validation_gain(model, theta, batches, score, SETTINGS) <= 0.0
+    assert not cross_validation_gain(model.at(theta), batches, score, SETTINGS) <= 0.0

@@ -36,8 +36,7 @@ def late_channel():
     late = add_effects(rig, [f"time-delay@{rig.channel_names[0]}"])
     truth = late.model_copy(update={"effects": (late.effects[0].model_copy(update={"parameters": {"delay": DELAY}}),)})
     batches = stack_runs([noisy_lines(truth, np.random.default_rng(4))], [], rig.channel_names)
-    model, theta = extend_model(balance_model(rig), balance_model(rig).parameters.value, truth)
-    return fit_all_lines(model, theta, batches, SETTINGS.fit), batches
+    return fit_all_lines(extend_model(balance_model(rig).at(), truth), batches, SETTINGS.fit), batches
 
 
 def test_the_smallest_p_value_is_that_of_the_model_without_a_dropped_effect(late_channel):
@@ -72,14 +71,12 @@ def test_a_leading_candidate_keeps_the_number_of_its_start(late_channel):
     pool = confirm_module.candidates(fit.model.geometry, excluded=SETTINGS.excluded)
     several = [item for item in pool if len(item.starts) > 1]
     assert several
-    scored = score_statistics.score_in_two_stages(fit.model, fit.theta, batches, several, few)
+    scored = score_statistics.score_in_two_stages(fit, batches, several, few)
     scores = {score.candidate.label: score for score in scored}
     for item in several:
         score = scores[item.label]
         assert score.candidate.starts == item.starts
-        (alone,) = score_statistics.scores(
-            fit.model, fit.theta, batches, [replace(item, starts=(item.starts[score.start],))], few.score
-        )
+        (alone,) = score_statistics.scores(fit, batches, [replace(item, starts=(item.starts[score.start],))], few.score)
         assert score.gain == pytest.approx(alone.gain, rel=1e-6, abs=1e-9)
 
 
@@ -87,9 +84,9 @@ def test_starts_that_are_scored_together_score_as_each_alone(late_channel):
     fit, batches = late_channel
     candidate = candidate_at("structural-damping", ("all",), fit.model.geometry)
     assert len(candidate.starts) > 1
-    (together,) = score_statistics.scores(fit.model, fit.theta, batches, [candidate], SETTINGS.score)
+    (together,) = score_statistics.scores(fit, batches, [candidate], SETTINGS.score)
     alone = [
-        score_statistics.scores(fit.model, fit.theta, batches, [replace(candidate, starts=(start,))], SETTINGS.score)[0]
+        score_statistics.scores(fit, batches, [replace(candidate, starts=(start,))], SETTINGS.score)[0]
         for start in candidate.starts
     ]
     best = max(alone, key=lambda score: score.gain)
@@ -103,7 +100,7 @@ def test_scores_in_small_groups_are_those_of_all_candidates_at_once(late_channel
     """Derivatives of groups take less memory; the fitted parameters are projected out of each group alike."""
     fit, batches = late_channel
     pool = candidates(fit.model.geometry, excluded=SETTINGS.excluded)
-    at_once = scores(fit.model, fit.theta, batches, pool, SETTINGS.score)
+    at_once = scores(fit, batches, pool, SETTINGS.score)
     counts = []
 
     def count(batch, *rest):
@@ -114,7 +111,7 @@ def test_scores_in_small_groups_are_those_of_all_candidates_at_once(late_channel
     project = score_statistics.project_out_fitted
     monkeypatch.setattr(score_statistics, "project_out_fitted", count)
     monkeypatch.setattr(score_statistics, "MAX_DERIVATIVE_BYTES", 0)
-    in_groups = scores(fit.model, fit.theta, batches, pool, SETTINGS.score)
+    in_groups = scores(fit, batches, pool, SETTINGS.score)
     starts = sum(score_statistics._is_new_null(item, k) for item in pool for k in range(len(item.starts)))
     assert sum(counts) == starts
     assert max(counts) <= len(free_names(fit.model)) < starts

@@ -108,7 +108,7 @@ def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, third, 
     assert quadratic.quality.chi2 == pytest.approx(offset.quality.chi2, abs=0.5)
     model, theta = balance_model(offset.geometry), np.array(offset.parameters.value)
     further = [candidate_at("quadratic-stiffness", ("z", side), offset.geometry) for side in ("beside", "inside")]
-    found = scores(model, theta, stack_runs(third.lines, third.statics, ("z",)), further, SETTINGS.score)
+    found = scores(model.at(theta), stack_runs(third.lines, third.statics, ("z",)), further, SETTINGS.score)
     assert all(score.gain < 1.0 for score in found)
 
 

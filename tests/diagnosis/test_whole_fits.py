@@ -40,7 +40,7 @@ def lines_of(rig, delay=0.0):
 
 def fitted_state(lines, *effects):
     model = balance_model(RIG.model_copy(update={"effects": effects}))
-    return fit_until_stable(model, model.parameters.value, lines, SETTINGS.fit)
+    return fit_until_stable(model.at(), lines, SETTINGS.fit)
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +82,8 @@ def test_once_the_time_is_over_nothing_more_is_tried_and_fits_hurry(late):
     assert add_by_whole_fit(state, lines, hasty) == (state, (), {})
     assert search_module.restart_if_better(state, lines, hasty) is None
     model = balance_model(RIG)
-    steps = take_steps(model, model.parameters.value, lines.fitted, 12, SETTINGS.fit).iterations
-    assert take_steps(model, model.parameters.value, lines.fitted, 12, hasty.fit).iterations <= 3 < steps
+    steps = take_steps(model.at(), lines.fitted, 12, SETTINGS.fit).iterations
+    assert take_steps(model.at(), lines.fitted, 12, hasty.fit).iterations <= 3 < steps
 
 
 def test_nothing_is_tried_where_little_is_missing():
@@ -128,7 +128,7 @@ def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypa
         return RoundResult(None) if len(rounds) == 1 else search_round(*arguments)
 
     monkeypatch.setattr(search_module, "search_round", in_vain_at_first)
-    result = search_module.search(state.model, state.theta, lines, lambda text: False, (), tuple, SETTINGS)
+    result = search_module.search(state, lines, lambda text: False, (), tuple, SETTINGS)
     accepted = [trial.label.split("@")[0] for trial in result.trials if trial.decision == "accepted"]
     assert accepted == ["support-flexibility", "added-mass"]
     assert result.state.error < 3 * NOISE

@@ -28,15 +28,15 @@ def update():
     """A rig without effects, fitted to its lines, and an update of it with the gain of a channel."""
     rig = rotor_balance()
     batches = stack_runs([noisy_lines(rig, np.random.default_rng(4))], [], rig.channel_names)
-    start = fit_all_lines(balance_model(rig), balance_model(rig).parameters.value, batches, SETTINGS.fit)
+    start = fit_all_lines(balance_model(rig).at(), batches, SETTINGS.fit)
     model = balance_model(add_effects(rig, [f"channel-gain@{rig.channel_names[0]}"]))
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     return start, UpdateResult(fit, {}, (), ConfirmedFit(fit), True), batches
 
 
 def test_an_update_that_describes_the_data_better_stays(update):
     start, better, batches = update
-    assert refuse_worse_update(start.model, start.theta, batches, better, SETTINGS) is better
+    assert refuse_worse_update(start, batches, better, SETTINGS) is better
 
 
 def test_one_that_describes_them_worse_is_refused_with_its_effects(update):
@@ -44,8 +44,8 @@ def test_one_that_describes_them_worse_is_refused_with_its_effects(update):
     theta = better.fit.theta.copy()
     (gain,) = declared_effects(better.fit.model.geometry)
     theta[better.fit.model.parameters.index(f"{gain.label}.gain")] += 0.1
-    worse = replace(better, fit=Fit(better.fit.model, replace(better.fit.minimum, theta=theta)))
-    refused = refuse_worse_update(start.model, start.theta, batches, worse, SETTINGS)
+    worse = replace(better, fit=Fit.at_minimum(better.fit.model, replace(better.fit.minimum, theta=theta)))
+    refused = refuse_worse_update(start, batches, worse, SETTINGS)
     assert declared_effects(refused.fit.model.geometry) == ()
     assert not refused.is_good
     (trial,) = refused.trials

@@ -39,7 +39,7 @@ def fitted():
     spectra = measured_spectra(runs, RIG, means=True)
     batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
     model = balance_model(RIG.model_copy(update={"effects": (LATE, OFFSET)}))
-    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     return fit, batches, {effect.effect.name: effect for effect in declared_effects(model.geometry)}
 
 

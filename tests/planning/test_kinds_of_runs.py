@@ -164,7 +164,7 @@ def test_only_multisines_of_whole_periods_are_rehearsed_at_a_lower_rate():
 def test_bands_add_up_to_the_run():
     geometry = other_rig("A")
     base = balance_model(geometry)
-    model = extended_model(base, base.parameters.value, ("channel-gain",))
+    model = extended_model(base.at(), ("channel-gain",))
     plan = SweepPlan(
         run="Fx", excited=("Fx",), level=(30.0,), phases="schroeder", period=1.0, periods=4, band=(4.0, 150.0)
     )
@@ -179,7 +179,7 @@ def test_bands_add_up_to_the_run():
 def test_power_goes_where_it_tells_and_keeps_to_its_limit():
     geometry = other_rig("A")
     base = balance_model(geometry)
-    model = extended_model(base, base.parameters.value, ("channel-gain",))
+    model = extended_model(base.at(), ("channel-gain",))
     size = model.size
     tested = int(np.concatenate(model.indices.tested)[0])
     useful = np.zeros((size, size))
@@ -213,7 +213,7 @@ def test_no_line_is_so_weak_that_its_spectrum_is_left_out():
 
 def test_run_that_lowers_the_cosine_most_is_named():
     base = balance_model(other_rig("A"))
-    model = extended_model(base, base.parameters.value, ("channel-gain", "time-delay"))
+    model = extended_model(base.at(), ("channel-gain", "time-delay"))
     names = [item.effect.name for item in model.candidates]
     i, j = (int(model.indices.tested[names.index(name)][0]) for name in ("channel-gain", "time-delay"))
 

@@ -112,7 +112,7 @@ def test_scores_of_campaigns_with_the_smallest_size_are_as_large_as_predicted(ri
         fitted = identify(spectra, geometry)
         batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
         theta = fitted.parameters.value
-        score = scores(balance_model(geometry), theta, batches, [candidate], DEFAULT_SETTINGS.score)[0]
+        score = scores(balance_model(geometry).at(theta), batches, [candidate], DEFAULT_SETTINGS.score)[0]
         gains.append(score.gain)
     # The mean of n gains of noncentrality L has the expectation 1 + L and the variance 2 (1 + 2 L) / n.
     assert abs(np.mean(gains) - 1.0 - needed) < 3.5 * np.sqrt(2.0 * (1.0 + 2.0 * needed) / len(gains))
@@ -272,7 +272,7 @@ def test_threshold_follows_the_noise_of_the_runs_that_show_an_effect(rig_a, info
 def test_every_effect_of_the_library_is_planned_or_named(rig_a):
     """An effect that is added to the library is in the next plan without a change of the planning."""
     geometry = rig_a.rig.geometry
-    everything = extended_model(balance_model(geometry), balance_model(geometry).parameters.value)
+    everything = extended_model(balance_model(geometry).at())
     planned = {item.effect.name for item in everything.candidates}
     unpredicted = set(unpredicted_effects(everything))
     for effect in EFFECTS_OF_LIBRARY:

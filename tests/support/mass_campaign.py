@@ -41,21 +41,21 @@ class Campaign:
         self.geometry, self.mass = geometry, mass
         self.batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
         model = balance_model(geometry)
-        self.fit = fit_all_lines(model, model.parameters.value, self.batches, SETTINGS.fit)
+        self.fit = fit_all_lines(model.at(), self.batches, SETTINGS.fit)
 
     def placed(self):
         """The candidate, begun where a mass gains most."""
         one = candidate_at("added-mass", (), self.geometry)
-        return place_mass_candidates([one], self.fit.model, self.fit.theta, self.batches, SETTINGS)[0]
+        return place_mass_candidates([one], self.fit, self.batches, SETTINGS)[0]
 
     def begun_at(self, number):
         """The model with the mass in it, and where it begins: no mass, at the place of this start."""
-        return extend_model(self.fit.model, self.fit.theta, add_candidates(self.geometry, [(self.placed(), number)]))
+        return extend_model(self.fit, add_candidates(self.geometry, [(self.placed(), number)]))
 
     def fit_from_the_truth(self):
-        model, theta = self.begun_at(0)
-        theta[mass_and_place(model)] = (self.mass, *PLACE)
-        return fit_all_lines(model, theta, self.batches, SETTINGS.fit)
+        start = self.begun_at(0)
+        start.theta[mass_and_place(start.model)] = (self.mass, *PLACE)
+        return fit_all_lines(start, self.batches, SETTINGS.fit)
 
 
 def mass_and_place(model):

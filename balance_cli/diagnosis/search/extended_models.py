@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
-from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.balance import BalanceModel, Estimate, balance_model
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_parameters
 
@@ -29,15 +29,17 @@ def add_candidates(
 
 
 def add_all_starts(
-    model: BalanceModel, theta: Array, trials: Sequence[tuple[Candidate, int]]
-) -> tuple[BalanceModel, Array, tuple[PlacedEffect, ...]]:
-    """Return the model with every candidate at the null of every start, its parameters, and the effects of the trials.
+    estimate: Estimate, trials: Sequence[tuple[Candidate, int]]
+) -> tuple[Estimate, tuple[PlacedEffect, ...]]:
+    """Return the estimate with every candidate at the null of every start, and the effects of the trials.
 
     None of them changes the equations, so that they can stand beside each other. A further start of a candidate is an
     effect of another name.
     """
-    extended, null = extend_model(model, theta, add_candidates(model.geometry, [t for t in trials if t[1] == 0]))
-    further = {(item.label, k): _further_start(model.geometry, item, k) for item, k in trials if k > 0}
+    geometry = estimate.geometry
+    null = extend_model(estimate, add_candidates(geometry, [t for t in trials if t[1] == 0]))
+    extended = null.model
+    further = {(item.label, k): _further_start(geometry, item, k) for item, k in trials if k > 0}
     order = [effect.name for effect in EFFECTS]
     effects = sorted(
         (*extended.effects, *further.values()), key=lambda item: order.index(item.effect.name.split("#")[0])
@@ -45,7 +47,7 @@ def add_all_starts(
     parameters = effect_parameters(tuple(further.values()))
     whole = BalanceModel(extended.geometry, extended.parameters + parameters, tuple(effects))
     placed = tuple(further[item.label, k] if k else item.placed_effect for item, k in trials)
-    return whole, np.concatenate([null, parameters.value]), placed
+    return whole.at(np.concatenate([null.theta, parameters.value])), placed
 
 
 def _further_start(geometry: Geometry, candidate: Candidate, number: int) -> PlacedEffect:
@@ -55,18 +57,18 @@ def _further_start(geometry: Geometry, candidate: Candidate, number: int) -> Pla
     return replace(placed, effect=replace(placed.effect, name=f"{placed.effect.name}#{number}"))
 
 
-def extend_model(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[BalanceModel, Array]:
-    """Return the model of a geometry with other effects, and its parameters with those of `model` as in `theta`.
+def extend_model(estimate: Estimate, geometry: Geometry) -> Estimate:
+    """Return the model of a geometry with other effects, at the values of the estimate where it has the parameter.
 
-    Parameters that are held in `model` (sigma 0) are held in the new one.
+    Parameters that are held in its model (sigma 0) are held in the new one.
     """
-    extended = balance_model(geometry)
-    known = dict(zip(model.parameters.names, theta, strict=True))
-    known_sigma = dict(zip(model.parameters.names, model.parameters.sigma, strict=True))
+    extended, before = balance_model(geometry), estimate.model.parameters
+    known = dict(zip(before.names, estimate.theta, strict=True))
+    known_sigma = dict(zip(before.names, before.sigma, strict=True))
     parameters = extended.parameters
     values = [known.get(name, value) for name, value in zip(parameters.names, parameters.value, strict=True)]
     sigma = [known_sigma.get(name, s) for name, s in zip(parameters.names, parameters.sigma, strict=True)]
-    return extended.with_sigma(np.array(sigma, float)), np.array(values, float)
+    return extended.with_sigma(np.array(sigma, float)).at(np.array(values, float))
 
 
 def hold_other_parameters(extended: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:

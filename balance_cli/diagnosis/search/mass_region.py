@@ -22,7 +22,7 @@ from balance_cli.diagnosis.search.mass_score import MassScore
 from balance_cli.diagnosis.search.point_mass import mass_parameter_indices, score_without_point_mass
 from balance_cli.diagnosis.settings import MassRegionSettings, SearchSettings
 from balance_cli.estimation.batch import Batch
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.effects.geometry_scales import position_bound
 
 Array = NDArray[np.float64]
@@ -43,32 +43,28 @@ class MassRegion:
         return np.stack([self.ends[i, :, i] for i in range(4)])
 
 
-def mass_region(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
-) -> MassRegion | None:
-    """The 95 % region about a fit `theta` (p,) of a model with a point mass; None without one."""
-    at = mass_parameter_indices(model)
+def mass_region(fit: Estimate, batches: Sequence[Batch], settings: SearchSettings) -> MassRegion | None:
+    """The 95 % region about a fit of a model with a point mass; None without one."""
+    at = mass_parameter_indices(fit.model)
     if at is None:
         return None
-    score = score_without_point_mass(model, theta, batches, at, settings.point_mass)
-    return search_mass_region(score, theta[at[1:]], position_bound(model.geometry), settings.mass_region)
+    score = score_without_point_mass(fit, batches, at, settings.point_mass)
+    return search_mass_region(score, fit.theta[at[1:]], position_bound(fit.geometry), settings.mass_region)
 
 
-def mass_intervals(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
-) -> dict[str, tuple[float, float]]:
+def mass_intervals(fit: Estimate, batches: Sequence[Batch], settings: SearchSettings) -> dict[str, tuple[float, float]]:
     """95 % intervals of a point mass and its position, by full parameter names; empty without a point mass.
 
     Empty, too, where the fit does not lie in its region: it is not at the minimum, and the region is that of no fit.
     """
-    region, at = mass_region(model, theta, batches, settings), mass_parameter_indices(model)
+    region, at = mass_region(fit, batches, settings), mass_parameter_indices(fit.model)
     if region is None or at is None:
         return {}
     lowest, highest = region.intervals.T
-    if np.any((theta[at] < lowest) | (theta[at] > highest)):
+    if np.any((fit.theta[at] < lowest) | (fit.theta[at] > highest)):
         return {}
     ends = ((float(lower), float(upper)) for lower, upper in region.intervals)
-    return dict(zip((model.parameters.names[i] for i in at), ends, strict=True))
+    return dict(zip((fit.model.parameters.names[i] for i in at), ends, strict=True))
 
 
 def search_mass_region(masses: MassScore, place: Array, far: float, settings: MassRegionSettings) -> MassRegion:

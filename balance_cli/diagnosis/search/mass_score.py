@@ -24,7 +24,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_curvature
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import BalanceModel, Estimate
 from balance_cli.model.effects import EFFECTS, Effect, EffectParameter, Where
 from balance_cli.model.effects.added_mass import add_mass
 from balance_cli.model.mechanics.dual_numbers import Dual
@@ -62,14 +62,14 @@ class MassScore:
 
 
 def score_of_masses(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: PointMassSettings, damping_share: float = 0.0
+    estimate: Estimate, batches: Sequence[Batch], settings: PointMassSettings, damping_share: float = 0.0
 ) -> MassScore:
-    """The score of ten masses at POINTS in addition to the effects of the model, at its parameters `theta` (p,).
+    """The score of ten masses at POINTS in addition to the effects of the model.
 
     The plate's damping follows the masses by `damping_share`.
     """
-    wide = _with_ten_masses(model, damping_share)
-    at = np.concatenate([theta, np.zeros(len(POINTS))])
+    wide = _with_ten_masses(estimate.model, damping_share)
+    at = np.concatenate([estimate.theta, np.zeros(len(POINTS))])
     curvature = data_curvature(batches, wide.system(at)) + prior_curvature(wide.parameters, at)
     fitted, masses = slice(0, -len(POINTS)), slice(-len(POINTS), None)
     among, cross, raw = (curvature.information[pair] for pair in ((fitted, fitted), (fitted, masses), (masses, masses)))

@@ -20,7 +20,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import limit_to_bounds, prior_curvature
 from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
 from balance_cli.estimation.starting_values import REGRESSION_PRIOR_SCALES
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import BalanceModel, Estimate
 from balance_cli.model.effects.geometry_scales import position_bound
 
 Array = NDArray[np.float64]
@@ -28,25 +28,21 @@ Index = NDArray[np.intp]
 
 
 def place_mass_candidates(
-    candidates: Sequence[Candidate],
-    model: BalanceModel,
-    theta: Array,
-    batches: Sequence[Batch],
-    settings: SearchSettings,
+    candidates: Sequence[Candidate], estimate: Estimate, batches: Sequence[Batch], settings: SearchSettings
 ) -> tuple[Candidate, ...]:
     """The candidates, with a point mass among them started where a mass added, and one removed, gains most.
 
     The candidates stay as they are for a rig that cannot move in all six ways, where several positions are equivalent.
     """
     hints = [candidate.effect.search.point_mass for candidate in candidates]
-    if model.geometry.freedom != FREEDOMS or not any(hints):
+    if estimate.geometry.freedom != FREEDOMS or not any(hints):
         return tuple(candidates)
-    far, limits = position_bound(model.geometry), settings.point_mass
-    shares = (0.0, 1.0) if _has_strained_priors(model, theta, limits) else (0.0,)
+    far, limits = position_bound(estimate.geometry), settings.point_mass
+    shares = (0.0, 1.0) if _has_strained_priors(estimate, limits) else (0.0,)
     best = [
         (place, share)
         for share in shares
-        for place in _best_places(score_of_masses(model, theta, batches, limits, share), far, limits)
+        for place in _best_places(score_of_masses(estimate, batches, limits, share), far, limits)
     ]
     return tuple(
         candidate
@@ -63,48 +59,50 @@ def place_mass_candidates(
     )
 
 
-def _has_strained_priors(model: BalanceModel, theta: Array, settings: PointMassSettings) -> bool:
+def _has_strained_priors(estimate: Estimate, settings: PointMassSettings) -> bool:
     """Whether the parameters are improbably far from what is declared, as with a body that nobody has declared."""
-    parameters = model.parameters
+    parameters = estimate.model.parameters
     count = np.count_nonzero(parameters.free & np.isfinite(parameters.sigma))
-    return bool(prior_curvature(parameters, theta).chi2 > count + settings.strained_sigma * np.sqrt(2.0 * count))
+    return bool(
+        prior_curvature(parameters, estimate.theta).chi2 > count + settings.strained_sigma * np.sqrt(2.0 * count)
+    )
 
 
-def refine_point_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings) -> Array:
-    """Parameters near the optimum of a model with a point mass; `theta` itself without one, or where nothing is gained.
+def refine_point_mass(start: Estimate, batches: Sequence[Batch], settings: SearchSettings) -> Estimate:
+    """The values near the optimum of a model with a point mass; `start` itself without one, or where nothing is gained.
 
     Along mass against arm chi-square is a narrow and curved valley. Gauss-Newton steps of the ten masses, each of which
     gives the best single mass at any position, avoid it.
     """
-    at = mass_parameter_indices(model)
+    at = mass_parameter_indices(start.model)
     if at is None:
-        return theta
-    held, min_gain = _hold_point_mass(model, at), settings.fit.min_step_gain
-    chi2 = penalized_chi2(model, theta, batches)
+        return start
+    best, chi2, min_gain = start, penalized_chi2(start, batches), settings.fit.min_step_gain
     for _ in range(settings.point_mass.steps):
-        start = _gauss_newton_step(held, theta, batches, at, settings.point_mass)
-        if not np.isfinite(penalized_chi2(model, start, batches)):
-            return theta
+        stepped = _gauss_newton_step(best, batches, at, settings.point_mass)
+        if not np.isfinite(penalized_chi2(stepped, batches)):
+            return best
         follow = settings.point_mass.follow_steps
-        end = take_first_steps(model, start, batches, follow, REGRESSION_PRIOR_SCALES, min_gain)
+        end = take_first_steps(stepped, batches, follow, REGRESSION_PRIOR_SCALES, min_gain)
         if not end.total.chi2 < chi2 - min_gain:
-            return end.theta if end.total.chi2 < chi2 else theta
-        theta, chi2 = end.theta, end.total.chi2
-    return theta
+            return start.model.at(end.theta) if end.total.chi2 < chi2 else best
+        best, chi2 = start.model.at(end.theta), end.total.chi2
+    return best
 
 
 def _gauss_newton_step(
-    held: BalanceModel, theta: Array, batches: Sequence[Batch], at: Index, settings: PointMassSettings
-) -> Array:
+    estimate: Estimate, batches: Sequence[Batch], at: Index, settings: PointMassSettings
+) -> Estimate:
     """One step: the best mass and position, at indices `at` of theta, and the other parameters as they follow."""
-    masses = score_without_point_mass(held, theta, batches, at, settings)
-    best = max(_best_places(masses, position_bound(held.geometry), settings), key=lambda place: place.gain)
+    theta, parameters = estimate.theta, _hold_point_mass(estimate.model, at).parameters
+    masses = score_without_point_mass(estimate, batches, at, settings)
+    best = max(_best_places(masses, position_bound(estimate.geometry), settings), key=lambda place: place.gain)
     stepped = theta.copy()
     change = equivalent_masses(np.array(best.values)) - equivalent_masses(theta[at])
-    stepped[held.parameters.free] += masses.fitted_step - masses.projection @ change
-    stepped = limit_to_bounds(held.parameters, theta, stepped)
+    stepped[parameters.free] += masses.fitted_step - masses.projection @ change
+    stepped = limit_to_bounds(parameters, theta, stepped)
     stepped[at] = best.values
-    return stepped
+    return estimate.model.at(stepped)
 
 
 def mass_parameter_indices(model: BalanceModel) -> Index | None:
@@ -124,16 +122,13 @@ def damping_share_index(model: BalanceModel) -> int:
 
 
 def score_without_point_mass(
-    model: BalanceModel,
-    theta: Array,
-    batches: Sequence[Batch],
-    at: Index,
-    settings: PointMassSettings,
+    estimate: Estimate, batches: Sequence[Batch], at: Index, settings: PointMassSettings
 ) -> MassScore:
     """The score of the ten masses as if the model had no point mass, whose parameters are at indices `at` (4,)."""
-    share = theta[damping_share_index(model)]
-    score = score_of_masses(_hold_point_mass(model, at), theta, batches, settings, float(share))
-    return replace(score, s=score.s + score.V @ equivalent_masses(theta[at]))
+    share = estimate.theta[damping_share_index(estimate.model)]
+    held = _hold_point_mass(estimate.model, at).at(estimate.theta)
+    score = score_of_masses(held, batches, settings, float(share))
+    return replace(score, s=score.s + score.V @ equivalent_masses(estimate.theta[at]))
 
 
 def _hold_point_mass(model: BalanceModel, at: Index) -> BalanceModel:

@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 def restart_one_by_one(state: SearchState, lines: SearchLines, settings: SearchSettings) -> SearchState:
     """Return the best of the fits in which the restarts of the effects, one after another, replace fitted values."""
     for _ in range(settings.rounds.max_restarts):
-        fit = partial(fit_until_stable, state.model, lines=lines, settings=settings.fit)
+        fit = partial(fit_until_stable, lines=lines, settings=settings.fit)
         with ThreadPoolExecutor(WORKERS) as workers:
-            ends = list(workers.map(fit, restarted_values(state, settings)))
+            ends = list(workers.map(fit, map(state.model.at, restarted_values(state, settings))))
         best = min(ends, key=lambda end: end.fit_criterion, default=state)
         if best.fit_criterion >= state.fit_criterion - settings.parameter_cost:
             break

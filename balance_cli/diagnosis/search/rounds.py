@@ -43,13 +43,13 @@ def search_round(
     leading = select_leading(ranked, settings)
     partial_fits = _fit_leading(state, leading, lines, settings)
     refits = [
-        (score, fit_until_stable(partial.model, partial.theta, lines, settings.fit, state.shares))
+        (score, fit_until_stable(partial, lines, settings.fit, state.shares))
         for score, partial in _select_for_full_fit(partial_fits, settings.rounds)
     ]
     if not refits:
         return RoundResult(None)
     gains = _gains(state, refits, settings)
-    terms = [end.model.system(end.theta, derivatives=False).equations.nonlinear_terms for _, end in refits]
+    terms = [end.system(derivatives=False).equations.nonlinear_terms for _, end in refits]
     best_score, best = refits[choose_most_linear(terms, list(gains.values()), settings.indistinguishable_chi2)]
     label, threshold = best_score.candidate.label, _min_gain(lines, len(ranked), settings.rounds)
     accepted = gains[label] > threshold and best.validation_criterion < state.validation_criterion
@@ -136,8 +136,8 @@ def rank_candidates(
     """Return the scores of the candidates under the model error, best first."""
     batches = add_model_error(lines.fitted, state.shares)
     started = [candidate.extra_starts(state.geometry) for candidate in pool]
-    placed = place_mass_candidates(started, state.model, state.theta, batches, settings)
-    return sorted(scores(state.model, state.theta, batches, placed, settings.score), key=lambda score: -score.gain)
+    placed = place_mass_candidates(started, state, batches, settings)
+    return sorted(scores(state, batches, placed, settings.score), key=lambda score: -score.gain)
 
 
 def select_leading(ranked: Sequence[Score], settings: SearchSettings) -> list[Score]:

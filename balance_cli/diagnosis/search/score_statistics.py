@@ -35,7 +35,7 @@ from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.batch import MAX_DERIVATIVE_BYTES, Batch, select_lines, split_by_run
 from balance_cli.estimation.levenberg_marquardt import limit_to_bounds
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.placed_effects import PlacedEffect
 
 Array = NDArray[np.float64]
@@ -72,11 +72,7 @@ def has_nuisance_parameters(score: Score) -> bool:
 
 
 def scores(
-    model: BalanceModel,
-    theta: Array,
-    batches: Sequence[Batch],
-    candidates: Sequence[Candidate],
-    settings: ScoreSettings,
+    estimate: Estimate, batches: Sequence[Batch], candidates: Sequence[Candidate], settings: ScoreSettings
 ) -> tuple[Score, ...]:
     """Return the score of every candidate, the best of its starts."""
     best: dict[str, Score] = {}
@@ -89,8 +85,8 @@ def scores(
     separate = split_by_run(batches)
     # The first starts are hundreds of parameters, which the forces of the further ones would carry along.
     for kind in ([trial for trial in trials if trial[1] == 0], [trial for trial in trials if trial[1] > 0]):
-        groups = _split_trials(kind, len(free_names(model)), separate)
-        for score in (score for group in groups for score in _score_trials(model, theta, separate, group, settings)):
+        groups = _split_trials(kind, len(free_names(estimate.model)), separate)
+        for score in (score for group in groups for score in _score_trials(estimate, separate, group, settings)):
             label = score.candidate.label
             if label not in best or score.gain > best[label].gain:
                 best[label] = score
@@ -98,11 +94,7 @@ def scores(
 
 
 def score_in_two_stages(
-    model: BalanceModel,
-    theta: Array,
-    batches: Sequence[Batch],
-    candidates: Sequence[Candidate],
-    settings: SearchSettings,
+    estimate: Estimate, batches: Sequence[Batch], candidates: Sequence[Candidate], settings: SearchSettings
 ) -> tuple[Score, ...]:
     """Return the scores of all candidates: the best of them on all lines, the others on a subset.
 
@@ -110,18 +102,18 @@ def score_in_two_stages(
     """
     limits = settings.score
     stride = sum(len(batch.lines.index) for batch in batches) // limits.screening_lines
-    candidates = place_mass_candidates(candidates, model, theta, batches, settings)
+    candidates = place_mass_candidates(candidates, estimate, batches, settings)
     if stride < 2:
-        return scores(model, theta, batches, candidates, limits)
+        return scores(estimate, batches, candidates, limits)
     tones = _tone_frequencies(candidates)
     subset = [select_lines(batch, _screening_mask(batch, stride, tones, limits.tone_lines)) for batch in batches]
     result = {
         score.candidate.label: replace(score, expected=stride * score.expected)
-        for score in scores(model, theta, subset, candidates, limits)
+        for score in scores(estimate, subset, candidates, limits)
     }
     ranked = sorted(result.values(), key=lambda score: score.gain / max(score.parameters, 1), reverse=True)
     leading = ranked[: limits.full_score_candidates]
-    on_all_lines = scores(model, theta, batches, [_at_best_start(score) for score in leading], limits)
+    on_all_lines = scores(estimate, batches, [_at_best_start(score) for score in leading], limits)
     for screened, score in zip(leading, on_all_lines, strict=True):
         result[score.candidate.label] = replace(score, candidate=screened.candidate, start=screened.start)
     return tuple(result.values())
@@ -178,19 +170,15 @@ def _split_trials(
 
 
 def _score_trials(
-    model: BalanceModel,
-    theta: Array,
-    batches: Sequence[Batch],
-    trials: Sequence[tuple[Candidate, int]],
-    settings: ScoreSettings,
+    estimate: Estimate, batches: Sequence[Batch], trials: Sequence[tuple[Candidate, int]], settings: ScoreSettings
 ) -> list[Score]:
     """The score of each candidate from the start of this number."""
-    extended, null, placed = add_all_starts(model, theta, trials)
+    null, placed = add_all_starts(estimate, trials)
     tested = [_tested_names(effect) for effect in placed]
     names = {name for each in tested for name in each}
-    extended = hold_other_parameters(extended, model, names)
+    extended = hold_other_parameters(null.model, estimate.model, names)
     indices = ParameterIndices.from_names(free_names(extended), tested)
-    projected = project_out_fitted(extended, null, batches, indices, settings)
+    projected = project_out_fitted(extended, null.theta, batches, indices, settings)
     return [_score(*trial, part, settings) for trial, part in zip(trials, projected, strict=True)]
 
 
@@ -234,20 +222,18 @@ def add_scored_candidate(geometry: Geometry, score: Score) -> Geometry:
     return geometry.model_copy(update={"effects": (*geometry.effects, candidate.at_start(values))})
 
 
-def apply_score_step(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], score: Score, settings: ScoreSettings
-) -> tuple[BalanceModel, Array]:
-    """Return the model with a candidate at the step of its score, from which a weak effect is quickly fitted.
+def apply_score_step(estimate: Estimate, batches: Sequence[Batch], score: Score, settings: ScoreSettings) -> Estimate:
+    """Return the estimate with a candidate at the step of its score, from which a weak effect is quickly fitted.
 
     The fitted parameters follow, within their bounds. The step is shortened until chi-square falls.
     """
-    extended, null = extend_model(model, theta, add_candidates(model.geometry, [(score.candidate, score.start)]))
-    step = np.zeros(len(null))
-    step[[extended.parameters.index(name) for name in free_names(model)]] = score.fitted_step
+    null = extend_model(estimate, add_candidates(estimate.geometry, [(score.candidate, score.start)]))
+    extended, step = null.model, np.zeros(len(null.theta))
+    step[[extended.parameters.index(name) for name in free_names(estimate.model)]] = score.fitted_step
     step[[extended.parameters.index(name) for name in _tested_names(score.candidate.placed_effect)]] = score.step
-    before = penalized_chi2(extended, null, batches)
+    before = penalized_chi2(null, batches)
     for fraction in settings.step_fractions:
-        theta = limit_to_bounds(extended.parameters, null, null + fraction * step)
-        if penalized_chi2(extended, theta, batches) < before:
-            return extended, theta
-    return extended, null
+        stepped = extended.at(limit_to_bounds(extended.parameters, null.theta, null.theta + fraction * step))
+        if penalized_chi2(stepped, batches) < before:
+            return stepped
+    return null

@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates, suspected_candidates
 from balance_cli.diagnosis.search.initial_candidates import InitialCandidates
@@ -22,10 +19,9 @@ from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.whole_fits import add_all_by_whole_fit, add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.io.percent import percent_text
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.placed_effects import declared_effects
 
-Array = NDArray[np.float64]
 Announce = Callable[[str], bool]
 
 
@@ -45,8 +41,7 @@ class SearchResult:
 
 
 def search(
-    model: BalanceModel,
-    theta: Array,
+    start: Estimate,
     lines: SearchLines,
     announce: Announce,
     initial_sets: Sequence[InitialCandidates],
@@ -58,7 +53,7 @@ def search(
     The effects that the data demand without a model come first, those of late channels together, which are looked for
     where much is missing. `announce` returns whether the time is over.
     """
-    result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
+    result = SearchResult(fit_until_stable(start, lines, settings.fit))
     if result.state.error > settings.rounds.stuck_error:
         result = result.add(*add_all_by_whole_fit(result.state, find_late(), lines, settings))
     for initial_set in initial_sets:

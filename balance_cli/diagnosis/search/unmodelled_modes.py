@@ -25,7 +25,7 @@ from balance_cli.diagnosis.settings import SearchSettings, UnmodelledModeSetting
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.model_error import add_model_error
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.placed_effects import declared_effects, effect_label, find_effect
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
@@ -35,7 +35,7 @@ Announce = Callable[[str], bool]
 
 
 def add_unmodelled_modes(
-    starting_models: Sequence[tuple[BalanceModel, Array]],
+    starts: Sequence[Estimate],
     lines: SearchLines,
     first_round: int,
     announce: Announce,
@@ -43,16 +43,16 @@ def add_unmodelled_modes(
 ) -> tuple[SearchState | None, tuple[Trial, ...]]:
     """The model with the resonances that reduce its error, and the trials; None where no resonance is accepted.
 
-    Of several starting models the one that ends with the best description is returned. The first one has all effects
+    Of several starts the one that ends with the best description is returned. The first one has all effects
     found before; those of its effects that the returned model lacks are listed as removed.
     """
-    results = [_add_modes(model, theta, lines, first_round, announce, settings) for model, theta in starting_models]
+    results = [_add_modes(start, lines, first_round, announce, settings) for start in starts]
     costs = [_cost(state, settings.parameter_cost) for state, _ in results]
     best = int(np.argmin(costs))
     state, trials = results[best]
     if not any(trial.decision == "accepted" for trial in trials):
         return None, trials
-    before, after = _labels(starting_models[0][0].geometry), _labels(state.geometry)
+    before, after = _labels(starts[0].geometry), _labels(state.geometry)
     gain, removed = costs[best] - costs[0], sorted(before - after)
     return state, (*trials, *(_superseded_trial(first_round, label, gain) for label in removed))
 
@@ -81,18 +81,13 @@ def _superseded_trial(number: int, label: str, gain: float) -> Trial:
 
 
 def _add_modes(
-    model: BalanceModel,
-    theta: Array,
-    lines: SearchLines,
-    first_round: int,
-    announce: Announce,
-    settings: SearchSettings,
+    start: Estimate, lines: SearchLines, first_round: int, announce: Announce, settings: SearchSettings
 ) -> tuple[SearchState, tuple[Trial, ...]]:
     """The stable fit of one starting model with the resonances that are accepted, and the effects beside them.
 
     A resonance may have hidden an effect, and a further one would describe it badly: the best of both is added.
     """
-    state = fit_until_stable(model, theta, lines, settings.fit)
+    state = fit_until_stable(start, lines, settings.fit)
     trials: list[Trial] = []
     modes = 0
     for number in range(first_round, first_round + settings.modes.max_rounds):
@@ -125,7 +120,7 @@ def unmodelled_mode_candidates(
     state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings, excluded: Collection[str]
 ) -> tuple[Candidate, ...]:
     """The empirical candidates, started at the frequencies of the largest model errors."""
-    system = state.model.system(state.theta, derivatives=False)
+    system = state.system(derivatives=False)
     peaks = _error_peaks(add_model_error(batches, state.shares), system, settings)
     candidates_at_peaks = []
     for candidate in candidates(state.geometry, empirical=True, excluded=excluded):
@@ -141,8 +136,8 @@ def move_to_best_places(state: SearchState, lines: SearchLines, settings: FitSet
     effects = best_places(state.geometry.effects, fitted)
     if effects == state.geometry.effects:
         return state
-    model, theta = extend_model(state.model, state.theta, state.geometry.model_copy(update={"effects": effects}))
-    return fit_until_stable(model, theta, lines, settings, state.shares)
+    moved = extend_model(state, state.geometry.model_copy(update={"effects": effects}))
+    return fit_until_stable(moved, lines, settings, state.shares)
 
 
 def best_places(declared: Sequence[DeclaredEffect], fitted: Mapping[str, float]) -> tuple[DeclaredEffect, ...]:

@@ -22,11 +22,10 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
-from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
+from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, regress
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
-from balance_cli.estimation.starting_values import start_from_equations_of_motion
 
 REASON = "the model misses a large part of the response, and a whole fit with it describes more"
 
@@ -140,11 +139,9 @@ def _whole_fit(
 ) -> SearchState:
     """The fit from a regression that begins at the declared values, as those of the state fit without the effects."""
     geometry = add_candidates(state.geometry, [(item, 0) for item in added], at_start_values=True)
-    model, _ = extend_model(state.model, state.theta, geometry)
-    declared = model.parameters.value
-    deadline = settings.fit.deadline
-    theta = start_from_equations_of_motion(model.parameters, lines.fitted, model.system, declared, deadline)
-    return fit_until_stable(model, theta, lines, settings.fit)
+    model = extend_model(state, geometry).model
+    declared = model.at()
+    return fit_until_stable(regress(declared, lines.fitted, settings.fit), lines, settings.fit)
 
 
 def _trial(label: str, gain: float, accepted: bool, number: int) -> Trial:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates, parameters_of_interest
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
@@ -19,10 +16,8 @@ from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statis
 from balance_cli.diagnosis.selection.fit import Fit, fit_contenders
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,7 +95,7 @@ def compare_alternatives(
 
 def _next_effect(result: ComparisonResult, given_labels: Collection[str]) -> PlacedEffect | None:
     """The first effect that is not given and has not been compared."""
-    effects = declared_effects(result.fit.model.geometry)
+    effects = declared_effects(result.fit.geometry)
     compared = {*given_labels, *result.effect_support}
     return next((effect for effect in effects if effect.label not in compared), None)
 
@@ -130,7 +125,7 @@ def _better_alternative(
     count = len(parameters_of_interest(effect.parameters))
     gains = {}
     for label, refit in refits.items():
-        placed = next(item for item in declared_effects(refit.model.geometry) if item.label == label)
+        placed = next(item for item in declared_effects(refit.geometry) if item.label == label)
         further = max(len(parameters_of_interest(placed.parameters)) - count, 0)
         gains[label] = fit.chi2 - refit.chi2 - settings.parameter_cost * further
     best = max(gains, key=lambda label: gains[label], default=None)
@@ -165,19 +160,15 @@ def _near_alternatives(
     reduced: Fit, effect: PlacedEffect, batches: Sequence[Batch], loss: float, settings: SearchSettings
 ) -> list[Score]:
     """Candidates that score about as much as the `loss` of chi-square without the effect, the best first."""
-    limits, model = settings.selection, reduced.model
-    pool = candidates(model.geometry, excluded=settings.excluded)
-    scored = score_in_two_stages(model, reduced.theta, batches, pool, settings)
+    limits, pool = settings.selection, candidates(reduced.geometry, excluded=settings.excluded)
+    scored = score_in_two_stages(reduced, batches, pool, settings)
     lowest = loss - limits.alternative_score_deficit - limits.score_inaccuracy * loss
     near = [score for score in scored if score.candidate.label != effect.label and score.gain > lowest]
     return sorted(near, key=lambda score: -score.gain)[: limits.max_alternatives]
 
 
 def _fit_alternatives(
-    fit: Fit,
-    starts: Sequence[tuple[str, tuple[BalanceModel, Array]]],
-    batches: Sequence[Batch],
-    settings: SearchSettings,
+    fit: Fit, starts: Sequence[tuple[str, Estimate]], batches: Sequence[Batch], settings: SearchSettings
 ) -> dict[str, Fit]:
     """The best refit of each label from its starts; those far from the fit or the best one are not finished."""
     margin = settings.indistinguishable_chi2
@@ -191,9 +182,9 @@ def _fit_alternatives(
 
 def _start_named_alternatives(
     fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], names: Sequence[str], settings: SearchSettings
-) -> list[tuple[str, tuple[BalanceModel, Array]]]:
-    """Models with each of these alternatives in the effect's place, and their starts, with the labels."""
-    possible = {item.label: item for item in candidates(without_effect(fit.model.geometry, effect))}
+) -> list[tuple[str, Estimate]]:
+    """The label of each of these alternatives, and the model with it in the effect's place, at each of its starts."""
+    possible = {item.label: item for item in candidates(without_effect(fit.geometry, effect))}
     labels = [name for name in names if name in possible and name != effect.label]
     labels = labels[: settings.selection.max_alternatives]
     return [
@@ -205,14 +196,13 @@ def _start_named_alternatives(
 
 def _starts_in_place(
     fit: Fit, effect: PlacedEffect, alternative: Candidate, batches: Sequence[Batch], settings: SearchSettings
-) -> list[tuple[BalanceModel, Array]]:
+) -> list[Estimate]:
     """The model with an alternative in the place of an effect, at each of its starts."""
-    others = without_effect(fit.model.geometry, effect)
-    (placed,) = place_mass_candidates([alternative], *extend_model(fit.model, fit.theta, others), batches, settings)
+    others = without_effect(fit.geometry, effect)
+    (placed,) = place_mass_candidates([alternative], extend_model(fit, others), batches, settings)
     if placed.fitted_start_values:
-        model, null = extend_model(fit.model, fit.theta, add_candidates(others, [(placed, 0)]))
-        return [(model, refine_point_mass(model, null, batches, settings))]
+        return [refine_point_mass(extend_model(fit, add_candidates(others, [(placed, 0)])), batches, settings)]
     return [
-        extend_model(fit.model, fit.theta, add_candidates(others, [(placed, number)], at_start_values=True))
+        extend_model(fit, add_candidates(others, [(placed, number)], at_start_values=True))
         for number in range(len(placed.starts))
     ]

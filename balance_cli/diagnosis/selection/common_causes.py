@@ -24,7 +24,7 @@ def merge_common_causes(
     """
     trials: tuple[Trial, ...] = ()
     for group, members in _merge_proposals(fit, given_labels):
-        present = {effect.label for effect in declared_effects(fit.model.geometry)}
+        present = {effect.label for effect in declared_effects(fit.geometry)}
         if not {effect.label for effect in members} <= present:
             continue
         merged = _merge(fit, group, members, batches, settings)
@@ -37,7 +37,7 @@ def merge_common_causes(
 
 def _merge_proposals(fit: Fit, given_labels: Collection[str]) -> Iterator[tuple[str, list[PlacedEffect]]]:
     """Groups with the effects that they could replace: the same effect in most of their channels, and in no group."""
-    geometry = fit.model.geometry
+    geometry = fit.geometry
     groups = channel_groups(geometry)
     effects = [effect for effect in declared_effects(geometry) if effect.label not in given_labels]
     for name in dict.fromkeys(effect.effect.name for effect in effects):
@@ -55,7 +55,7 @@ def _merge(
 ) -> Fit:
     """The refit with the effect in the group, begun at the mean of its members."""
     value = dict(zip(fit.model.parameters.names, fit.theta.tolist(), strict=True))
-    geometry = fit.model.geometry
+    geometry = fit.geometry
     for effect in members:
         geometry = without_effect(geometry, effect)
     placed = place_effect(members[0].effect.name, (group,), geometry)
@@ -65,7 +65,7 @@ def _merge(
     }
     declared = declare_effect(placed, mean)
     geometry = geometry.model_copy(update={"effects": (*geometry.effects, declared)})
-    return fit_all_lines(*extend_model(fit.model, fit.theta, geometry), batches, settings.fit)
+    return fit_all_lines(extend_model(fit, geometry), batches, settings.fit)
 
 
 def _merge_trials(number: int, members: Sequence[PlacedEffect], label: str, loss: float) -> Iterator[Trial]:

@@ -100,8 +100,8 @@ def confirm(
     for number in range(first_round, first_round + settings.selection.max_rounds):
         over = announce(f"all lines, round {number}")
         fit = result.fit
-        pool = candidates(fit.model.geometry, excluded=settings.excluded)
-        scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
+        pool = candidates(fit.geometry, excluded=settings.excluded)
+        scores = score_in_two_stages(fit, batches, pool, settings)
         unexplained = unexplained_chi2(fit, batches, error_runs, settings.fit)
         threshold = settings.selection.min_effect_share * unexplained
         smallest_p_value, step = _confirm_round(
@@ -124,8 +124,8 @@ def score_again(
     """
     if _labels(fit) == confirmation.scored:
         return confirmation
-    pool = candidates(fit.model.geometry, excluded=settings.excluded)
-    scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
+    pool = candidates(fit.geometry, excluded=settings.excluded)
+    scores = score_in_two_stages(fit, batches, pool, settings)
     limit, _ = confounding_limit(fit, batches)
     clear = [score for score in scores if score.gain > limit and score.candidate.label not in confirmation.refused]
     return replace(
@@ -135,7 +135,7 @@ def score_again(
 
 def _labels(fit: Fit) -> frozenset[str]:
     """The labels of the effects of a fit."""
-    return frozenset(effect.label for effect in declared_effects(fit.model.geometry))
+    return frozenset(effect.label for effect in declared_effects(fit.geometry))
 
 
 def _smallest_p_value(scores: Sequence[Score], count: int) -> float:
@@ -172,7 +172,7 @@ def _refit_selected(context: _RoundContext, clear: Sequence[Score], selected: Se
         refit_with_candidate(fit, score, batches, started.get(score.candidate.label), settings) for score in tested
     ]
     best = _best_refit(fit, tested, refits, settings)
-    validation = cross_validation_gain(fit.model, fit.theta, batches, tested[best], settings)
+    validation = cross_validation_gain(fit, batches, tested[best], settings)
     rejection = _rejection_reason(context, tested[best], refits[best], validation)
     trials = []
     for i, (score, refit) in enumerate(zip(tested, refits, strict=True)):
@@ -194,7 +194,7 @@ def _best_refit(fit: Fit, scores: Sequence[Score], refits: Sequence[Fit], settin
         fit.chi2 - refit.chi2 - settings.parameter_cost * score.parameters
         for score, refit in zip(scores, refits, strict=True)
     ]
-    terms = [refit.model.system(refit.theta, derivatives=False).equations.nonlinear_terms for refit in refits]
+    terms = [refit.system(derivatives=False).equations.nonlinear_terms for refit in refits]
     return choose_most_linear(terms, gains, settings.indistinguishable_chi2)
 
 

@@ -30,7 +30,7 @@ from balance_cli.estimation.batch import Batch, select_lines
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_curvature
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -60,18 +60,18 @@ def _fold_numbers(batch: Batch, first: int, settings: CrossValidationSettings) -
 
 
 def cross_validation_gain(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], score: Score, settings: SearchSettings
+    estimate: Estimate, batches: Sequence[Batch], score: Score, settings: SearchSettings
 ) -> float:
     """Return the gain of a candidate in chi-square on lines from which its step was not taken.
 
     NaN where nearly all information about it is in one fold.
     """
     effect = score.candidate.placed_effect
-    extended, null = extend_model(model, theta, add_candidates(model.geometry, [(score.candidate, score.start)]))
+    null = extend_model(estimate, add_candidates(estimate.geometry, [(score.candidate, score.start)]))
     items = parameters_of_interest(effect.parameters)
     names = [effect.full_name(item) for item in items]
-    extended = hold_other_parameters(extended, model, set(names))
-    system, prior = extended.system(null), prior_curvature(extended.parameters, null)
+    extended = hold_other_parameters(null.model, estimate.model, set(names))
+    system, prior = extended.system(null.theta), prior_curvature(extended.parameters, null.theta)
     # What is declared with a tolerance is data too: a fold of its own.
     parts = [*(data_curvature(fold, system) for fold in split_folds(batches, settings.cross_validation)), prior]
     free = free_names(extended)

@@ -40,10 +40,10 @@ def doubtful_effects(
     fit: Fit, labels: Collection[str], batches: Sequence[Batch], settings: SelectionSettings
 ) -> tuple[str, ...]:
     """Return those of the effects with these labels that the parts of the records do not agree on."""
-    effects = [effect for effect in declared_effects(fit.model.geometry) if effect.label in labels]
+    effects = [effect for effect in declared_effects(fit.geometry) if effect.label in labels]
     if not effects:
         return ()
-    system = fit.model.system(fit.theta)
+    system = fit.system()
     parts = [data_curvature([part], system) for part in _parts(batches, settings.doubt_bands)]
     total = sum(parts, prior_curvature(fit.model.parameters, fit.theta))
     return tuple(effect.label for effect in effects if _is_doubtful(fit, effect, parts, total, settings))

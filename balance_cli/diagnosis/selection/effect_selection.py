@@ -22,7 +22,7 @@ from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, ind
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
-from balance_cli.model.balance import BalanceModel
+from balance_cli.model.balance import Estimate
 from balance_cli.model.effects import Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
@@ -38,18 +38,15 @@ def refit_without_effect(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch
     known = fit.reduced.get(effect.label)
     if known is not None and known.is_of(batches, settings):
         return known.fit
-    model, theta = extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect))
-    reduced = fit_all_lines(model, theta, batches, settings)
+    reduced = fit_all_lines(extend_model(fit, without_effect(fit.geometry, effect)), batches, settings)
     fit.reduced[effect.label] = ReducedFit(reduced, tuple(batches), settings)
     return reduced
 
 
-def keep_effects(
-    labels: Collection[str], geometry: Geometry, model: BalanceModel, theta: Array
-) -> tuple[BalanceModel, Array]:
-    """Return a model with those effects of a geometry that have these labels, its other parameters as in `theta`."""
+def keep_effects(labels: Collection[str], geometry: Geometry, estimate: Estimate) -> Estimate:
+    """Return a model with those effects of a geometry that have these labels, at the values of an estimate."""
     effects = tuple(item for item, placed in _declared_and_placed(geometry) if placed.label in labels)
-    return extend_model(model, theta, geometry.model_copy(update={"effects": effects}))
+    return extend_model(estimate, geometry.model_copy(update={"effects": effects}))
 
 
 def without_effect(geometry: Geometry, effect: PlacedEffect) -> Geometry:
@@ -101,7 +98,7 @@ def prune_effects(
     247: the supremum over parameters that are unidentifiable at the null).
     """
     limits, trials = settings.selection, list[Trial]()
-    for effect in sorted(declared_effects(fit.model.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
+    for effect in sorted(declared_effects(fit.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
         over = announce(f"need of {effect.label}")
         gain, parameters = effect_wald_statistic(fit, effect)
         fitted = max(parameters, 1) + shape_parameter_count(fit, effect)
@@ -140,7 +137,7 @@ def narrow_places(
 ) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model with each effect at the smallest place that describes the data as well."""
     trials: list[Trial] = []
-    for effect in declared_effects(fit.model.geometry):
+    for effect in declared_effects(fit.geometry):
         if settings.fit.is_over:
             break
         fit, narrowed = _narrow_place(fit, effect, batches, number, settings)
@@ -178,7 +175,7 @@ def _smallest_place(fit: Fit, effect: PlacedEffect, settings: SearchSettings) ->
     """The smallest place without which Wald's statistic finds nothing lost, by removing one name after another."""
     smallest, place = None, effect
     while where := _next_smaller_place(fit, place, settings, whole=effect):
-        smallest, place = where, candidate_at(effect.effect.name, where, fit.model.geometry).placed_effect
+        smallest, place = where, candidate_at(effect.effect.name, where, fit.geometry).placed_effect
     return smallest
 
 
@@ -187,7 +184,7 @@ def _next_smaller_place(
 ) -> Where | None:
     """The place with one name less that loses least, if that is negligible; the loss is that of the `whole` effect."""
     fitted = effect if whole is None else whole
-    choices = [(where, *_lost_chi2(fit, fitted, where)) for where in smaller_places(effect, fit.model.geometry)]
+    choices = [(where, *_lost_chi2(fit, fitted, where)) for where in smaller_places(effect, fit.geometry)]
     choices = [item for item in choices if _is_negligible(item[1], item[2], settings)]
     return min(choices, key=lambda item: item[1])[0] if choices else None
 
@@ -212,9 +209,7 @@ def _narrowing_trial(number: int, effect: PlacedEffect, smaller: PlacedEffect, p
 
 def _lost_chi2(fit: Fit, effect: PlacedEffect, where: Where) -> tuple[float, int]:
     """Wald's chi-square of the parameters that the smaller place does not have, and how many are identifiable."""
-    remaining = {
-        item.name for item in candidate_at(effect.effect.name, where, fit.model.geometry).placed_effect.parameters
-    }
+    remaining = {item.name for item in candidate_at(effect.effect.name, where, fit.geometry).placed_effect.parameters}
     lost = [item for item in parameters_of_interest(effect.parameters) if item.name not in remaining]
     return wald_statistic(fit, [effect.full_name(item) for item in lost], [item.fitted_null for item in lost])
 
@@ -223,7 +218,7 @@ def _refit_at_place(
     fit: Fit, effect: PlacedEffect, where: Where, batches: Sequence[Batch], settings: FitSettings
 ) -> tuple[Fit, PlacedEffect]:
     """The same effect at another place, refitted from the same values."""
-    geometry = fit.model.geometry
+    geometry = fit.geometry
     moved = candidate_at(effect.effect.name, where, geometry).placed_effect
     names = {item.name for item in moved.parameters}
     effects = tuple(
@@ -232,11 +227,11 @@ def _refit_at_place(
         else item
         for item, placed in _declared_and_placed(geometry)
     )
-    model, theta = extend_model(fit.model, fit.theta, geometry.model_copy(update={"effects": effects}))
+    start = extend_model(fit, geometry.model_copy(update={"effects": effects}))
     for item in moved.parameters:
         value = fit.theta[fit.model.parameters.index(effect.full_name(item))]
-        theta[model.parameters.index(moved.full_name(item))] = value
-    return fit_all_lines(model, theta, batches, settings), moved
+        start.theta[start.model.parameters.index(moved.full_name(item))] = value
+    return fit_all_lines(start, batches, settings), moved
 
 
 # ---- effects that are not supported ----------------------------------------------------------------------------------
@@ -262,7 +257,7 @@ def drop_unsupported_effects(
     while threshold := share * unexplained_chi2(fit, batches, error_runs, settings.fit):
         weak = [
             effect
-            for effect in declared_effects(fit.model.geometry)
+            for effect in declared_effects(fit.geometry)
             if effect.label not in certain_labels and effect_wald_statistic(fit, effect)[0] < threshold
         ]
         if weak and announce(f"support of {len(weak)} effects"):
@@ -285,7 +280,7 @@ def _refit_without_each(
     known = {effect.label: fit.reduced.get(effect.label) for effect in effects}
     refits = {label: item.fit for label, item in known.items() if item is not None and item.is_of(batches, settings)}
     others = [effect for effect in effects if effect.label not in refits]
-    starts = [extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect)) for effect in others]
+    starts = [extend_model(fit, without_effect(fit.geometry, effect)) for effect in others]
     limit = min([limit, *(item.chi2 for item in refits.values())])
     for effect, refit in zip(others, fit_contenders(starts, batches, limit, 0.0, settings), strict=True):
         refits[effect.label] = refit

@@ -72,7 +72,7 @@ def confounding_limit(fit: Fit, batches: Sequence[Batch]) -> tuple[float, str]:
     A candidate that gains no more than this may describe that inaccuracy. (0.0, "") where every effect is exact.
     """
     limits = []
-    for effect in declared_effects(fit.model.geometry):
+    for effect in declared_effects(fit.geometry):
         share = effect_inaccuracy(effect.effect, batches)
         if share > 0:
             limits.append((share**2 * effect_wald_statistic(fit, effect)[0], effect.label))

@@ -7,33 +7,29 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, predicted_decrease
 from balance_cli.estimation.maximum_likelihood import ITERATIONS, fit_maximum_likelihood, take_first_steps
-from balance_cli.model.balance import BalanceModel
-
-Array = NDArray[np.float64]
+from balance_cli.model.balance import BalanceModel, Estimate
 
 
 @dataclass(frozen=True)
-class Fit:
-    """A model and its maximum-likelihood fit on all lines.
+class Fit(Estimate):
+    """A model with its maximum-likelihood estimate on all lines, at which a minimization has ended.
 
     `reduced`: refits without one of its effects, by label, that were made of this fit, each with its lines and
     settings. Removal and comparison of effects ask for the same ones, which may take a minute each.
     """
 
-    model: BalanceModel
     minimum: Minimum
     reduced: dict[str, ReducedFit] = field(default_factory=dict, compare=False, repr=False)
 
-    @property
-    def theta(self) -> Array:
-        """The estimated parameters (p,)."""
-        return self.minimum.theta
+    @classmethod
+    def at_minimum(cls, model: BalanceModel, minimum: Minimum) -> Fit:
+        """The fit of a model that has ended at this minimum."""
+        return cls(model, minimum.theta, minimum)
 
     @property
     def chi2(self) -> float:
@@ -56,11 +52,12 @@ class ReducedFit:
 
 
 def fit_all_lines(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings, iterations: int = ITERATIONS
+    start: Estimate, batches: Sequence[Batch], settings: FitSettings, iterations: int = ITERATIONS
 ) -> Fit:
-    """Return the maximum-likelihood fit from `theta` (p,), to the tolerance of chi-square in the settings."""
-    tolerance, deadline = settings.comparison_tolerance, settings.deadline
-    return Fit(model, fit_maximum_likelihood(model, batches, theta, iterations, tolerance, deadline=deadline))
+    """Return the maximum-likelihood fit from a start, to the tolerance of chi-square in the settings."""
+    model, tolerance, deadline = start.model, settings.comparison_tolerance, settings.deadline
+    minimum = fit_maximum_likelihood(model, batches, start.theta, iterations, tolerance, deadline=deadline)
+    return Fit.at_minimum(model, minimum)
 
 
 def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> Fit:
@@ -69,23 +66,19 @@ def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> F
     minimum = fit_maximum_likelihood(
         fit.model, batches, fit.theta, tolerance=tolerance, known=known, deadline=settings.deadline
     )
-    return Fit(fit.model, minimum)
+    return Fit.at_minimum(fit.model, minimum)
 
 
 def fit_contenders(
-    starts: Sequence[tuple[BalanceModel, Array]],
-    batches: Sequence[Batch],
-    limit: float,
-    margin: float,
-    settings: FitSettings,
+    starts: Sequence[Estimate], batches: Sequence[Batch], limit: float, margin: float, settings: FitSettings
 ) -> list[Fit]:
-    """Return the fits from several models and parameters (p,), finished only where they may be the best ones.
+    """Return the fits from several starts, finished only where they may be the best ones.
 
     After their first steps they are continued in the order of chi-square, each as far as the decrease that its
     linearization predicts would lead below `limit` and below the best one plus `margin`. Along a curved valley the
     prediction is far too large, so that no fit is given up too early that has taken its first steps.
     """
-    fits = [fit_all_lines(model, theta, batches, settings, settings.contender_steps) for model, theta in starts]
+    fits = [fit_all_lines(start, batches, settings, settings.contender_steps) for start in starts]
     for i in sorted(range(len(fits)), key=lambda i: fits[i].chi2):
         within_reach = fits[i].chi2 - predicted_decrease(fits[i].minimum.total) <= limit
         if within_reach and not fits[i].minimum.converged:
@@ -94,10 +87,11 @@ def fit_contenders(
     return fits
 
 
-def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:
-    """Return the first steps of a fit, in which parameters without a prior stay near `theta` (p,)."""
+def start_fit(start: Estimate, batches: Sequence[Batch], settings: FitSettings) -> Fit:
+    """Return the first steps of a fit, in which parameters without a prior stay near the start."""
     steps, scales, min_gain = settings.start_steps, settings.max_start_scales, settings.min_step_gain
-    return Fit(model, take_first_steps(model, theta, batches, steps, scales, min_gain, deadline=settings.deadline))
+    minimum = take_first_steps(start, batches, steps, scales, min_gain, deadline=settings.deadline)
+    return Fit.at_minimum(start.model, minimum)
 
 
 def unexplained_chi2(fit: Fit, batches: Sequence[Batch], error_runs: Collection[str], settings: FitSettings) -> float:

@@ -39,7 +39,7 @@ def examine_hypotheses(fit: Fit, batches: Sequence[Batch], number: int, settings
     """Return the fit with those suspected effects that it lacks and that are significant by themselves."""
     result = HypothesisResult(fit, {})
     for word in settings.suspected:
-        pool = suspected_candidates(word, result.fit.model.geometry)
+        pool = suspected_candidates(word, result.fit.geometry)
         if pool:
             result = _examine(result, pool, batches, number, settings)
     return result
@@ -49,11 +49,11 @@ def _examine(
     result: HypothesisResult, pool: Sequence[Candidate], batches: Sequence[Batch], number: int, settings: SearchSettings
 ) -> HypothesisResult:
     fit, count = result.fit, len(pool)
-    scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
+    scores = score_in_two_stages(fit, batches, pool, settings)
     best = max(scores, key=lambda score: score.gain - settings.parameter_cost * score.parameters)
     refit = refit_with_candidate(fit, best, batches, None, settings)
     gain = fit.chi2 - refit.chi2
-    validation = cross_validation_gain(fit.model, fit.theta, batches, best, settings)
+    validation = cross_validation_gain(fit, batches, best, settings)
     p_value = bonferroni_p_value(gain, max(best.parameters, 1), count, best.noise_dof)
     reason = _rejection_reason(p_value, validation, settings)
     trial = make_trial(number, best, count, gain, not reason, reason or SUSPECTED, validation)

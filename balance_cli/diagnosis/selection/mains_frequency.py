@@ -35,7 +35,7 @@ def frequency_looks(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], se
     search = effect.effect.search
     if search.tone is None:
         return 1.0
-    starts = len(search.starts(fit.model.geometry, effect.where)) if search.starts else 1
+    starts = len(search.starts(fit.geometry, effect.where)) if search.starts else 1
     lobes = 2.0 * settings.mains.search_range * _longest_record(batches)
     return max(1.0, starts * settings.mains.looks_per_lobe * lobes)
 
@@ -57,8 +57,8 @@ def independent_gain(gain: float, fit: Fit, effect: PlacedEffect, batches: Seque
 
 def _tones(fit: Fit, label: str, batches: Sequence[Batch]) -> Iterator[tuple[Batch, MainsTone]]:
     """The tone of an effect in each run, with its batch."""
-    labels = [item.label for item in declared_effects(fit.model.geometry) if item.effect.search.tone is not None]
-    system = fit.model.system(fit.theta)
+    labels = [item.label for item in declared_effects(fit.geometry) if item.effect.search.tone is not None]
+    system = fit.system()
     interference = system.equations.interference_tones[labels.index(label)]
     for batch in batches:
         lines = evaluate_batch(batch, system, solve(system, batch.frequency, batch.spin))
@@ -96,7 +96,7 @@ def frequency_grid(fitted: float, effect: PlacedEffect, fit: Fit, settings: Main
     centers, starts = [fitted], effect.effect.search.starts
     tone = effect.effect.search.tone
     if starts is not None and tone is not None:
-        frequencies = [start[tone.frequency] for start in starts(fit.model.geometry, effect.where)]
+        frequencies = [start[tone.frequency] for start in starts(fit.geometry, effect.where)]
         nearest = min(frequencies, key=lambda frequency: abs(frequency - fitted))
         centers += [nearest] if abs(nearest - fitted) > settings.max_departure else []
     reach = settings.search_range
@@ -117,11 +117,12 @@ def _search_frequency(
     amplitude = np.sqrt(max(float(fit.theta[power]), np.finfo(float).tiny)) * factors
     chi2 = _chi2_grid(fit, label, batches, frequency, amplitude)
     best_frequency, best_amplitude = np.unravel_index(np.argmin(chi2), chi2.shape)
-    start = fit.theta.copy()
-    start[place], start[power] = frequency[best_frequency], amplitude[best_amplitude] ** 2
-    if not penalized_chi2(fit.model, start, batches) < fit.chi2:
+    theta = fit.theta.copy()
+    theta[place], theta[power] = frequency[best_frequency], amplitude[best_amplitude] ** 2
+    start = fit.model.at(theta)
+    if not penalized_chi2(start, batches) < fit.chi2:
         return fit
-    refit = fit_all_lines(fit.model, start, batches, settings.fit)
+    refit = fit_all_lines(start, batches, settings.fit)
     return refit if refit.chi2 < fit.chi2 else fit
 
 
@@ -129,8 +130,8 @@ def _chi2_grid(fit: Fit, label: str, batches: Sequence[Batch], frequency: Array,
     """Chi-square (f, a) of all runs, less that without the tone: sum of a^2 n - 2 ln I0(a |b|)."""
     from scipy.special import i0e
 
-    tones = [item.label for item in declared_effects(fit.model.geometry) if item.effect.search.tone is not None]
-    system = fit.model.system(fit.theta)
+    tones = [item.label for item in declared_effects(fit.geometry) if item.effect.search.tone is not None]
+    system = fit.system()
     interference = system.equations.interference_tones[tones.index(label)]
     total = np.zeros((len(frequency), len(amplitude)))
     for batch in batches:
