@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, last_round
-from balance_cli.diagnosis.result import Trial
+from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.selection.confirm import score_again
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import SearchSettings
@@ -34,22 +34,9 @@ def refuse_worse_update(
     if not added or after <= before:
         return update
     fit = fit_all_lines(start, batches, settings.fit, settings.fit.contender_steps)
-    number = last_round(update.trials) + 1
-    removed = tuple(_removal_trial(number, label, before - after) for label in added)
+    number, loss = last_round(update.trials) + 1, before - after
+    removed = tuple(refit_trial(number, label, loss, "removed", REASON_WORSE, 0, loss) for label in added)
     confirmation = score_again(update.confirmation, fit, batches, settings)
     return replace(
         update, fit=fit, effect_support={}, trials=(*update.trials, *removed), confirmation=confirmation, is_good=False
-    )
-
-
-def _removal_trial(number: int, label: str, gain: float) -> Trial:
-    return Trial(
-        round=number,
-        label=label,
-        score=gain,
-        parameters=0,
-        p_value=1.0,
-        gain=gain,
-        decision="removed",
-        reason=REASON_WORSE,
     )

@@ -46,15 +46,18 @@ def join_flags(words: Iterable[str]) -> str:
     return SEPARATOR.join(flag for flag in FLAGS if flag in given)
 
 
+DOUBTFUL, TRUSTED = "doubtful", "good"
+NOT_TESTED = "not tested"
+NAMED_DOUBTS = (NOT_STEADY, EXTRAPOLATED, UNMODELLED_LINE)
+"""Flags that a phrase of trust names, the first of them that a row has."""
 TRUST_WORDS = (
     ("contradicted", (REDUNDANCY, FILTER_CONTRADICTED, MODEL_CONTRADICTED)),
-    ("doubtful", (EXTRAPOLATED, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE)),
+    (DOUBTFUL, (EXTRAPOLATED, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE)),
     ("not measured", (NOT_MEASURED,)),
     ("untested", (UNTESTED,)),
     ("no zero", (NO_ZERO,)),
 )
 """Words of trust, the worst first, each with the flags that lead to it."""
-TRUSTED = "good"
 
 
 def trust_word(flags: str) -> str:
@@ -66,4 +69,12 @@ def trust_word(flags: str) -> str:
     for word, members in TRUST_WORDS:
         if given & set(members):
             return word
-    return "doubtful" if given else TRUSTED
+    return DOUBTFUL if given else TRUSTED
+
+
+def trust_text(flags: str) -> str:
+    """Return one phrase for the flags of a row: the word of trust, or in place of `doubtful` the flag of the doubt."""
+    word, given = trust_word(flags), flags.split(SEPARATOR)
+    if word == DOUBTFUL:
+        return next((flag for flag in NAMED_DOUBTS if flag in given), word)
+    return {TRUSTED: "tested and good", UNTESTED: NOT_TESTED}.get(word, word)

@@ -26,7 +26,7 @@ from balance_cli.reduction.weighted_least_squares import SolvedLoads, redundant_
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-REJECTED_SHARE = 0.5
+SUSPECT_SHARE = 0.5
 """Share of rejected harmonics from which a channel is looked for: a fault of a channel shows in all of them."""
 EXPLAINED_SHARE = 0.2
 """Share of the harmonics that may be rejected without the mistake, or without the channels that are to blame."""
@@ -256,7 +256,7 @@ def contradicting_channels(
     Empty where the test is passed with all of them, where no channel or pair explains it, and where several do; and
     where the response is known to miss its own data, because then it is to blame.
     """
-    if np.mean(solution.misfit) < REJECTED_SHARE or source.response_error is not None or source.is_contradicted:
+    if np.mean(solution.misfit) < SUSPECT_SHARE or source.response_error is not None or source.is_contradicted:
         return ""
 
     def rejection(names: Sequence[str]) -> tuple[float, float]:

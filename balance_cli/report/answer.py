@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.reduction.choices import FREQUENCIES
-from balance_cli.reduction.flags import (
-    NOT_MEASURED,
-    SEPARATOR,
-    TRUSTED,
-    trust_word,
-)
+from balance_cli.reduction.flags import NOT_MEASURED, SEPARATOR, TRUSTED, trust_text, trust_word
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
@@ -23,7 +18,6 @@ from balance_cli.report.number_format import MISSING_VALUE, value_and_sigma_text
 from balance_cli.report.recommendation import reason_sentence, recommend
 from balance_cli.report.run_index import run_index
 from balance_cli.report.sources import Source
-from balance_cli.report.trust_text import trust_text
 
 MOST_CARDS = 6
 """Runs whose loads stand on the first screen; where there are more, all are in the index below it."""

@@ -11,7 +11,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.choices import FREQUENCIES
-from balance_cli.reduction.flags import NOT_MEASURED, SEPARATOR
+from balance_cli.reduction.flags import NOT_MEASURED, NOT_TESTED, SEPARATOR, trust_text
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict, untested_loads
@@ -20,7 +20,6 @@ from balance_cli.report.blocks import Row, RunIndex, Table, TableCell
 from balance_cli.report.number_format import MISSING_VALUE, value_and_sigma_text
 from balance_cli.report.plot_data import script_json
 from balance_cli.report.recommendation import Recommendation
-from balance_cli.report.trust_text import NOT_TESTED, trust_text
 
 MARKS = {USE: "good", DO_NOT_USE: "bad"}
 CURVE_WIDTH, CURVE_HEIGHT = 100.0, 24.0

@@ -69,15 +69,14 @@ def diagnose(
     if exclusion is not None:
         spectra, batches, update = exclusion.spectra, exclusion.batches, exclusion.update
     fit = update.fit
-    after: Estimate = fit
     batches = add_force_noise(batches, fit.system())
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra)
     updated = replace(updated, band=model.band)
     same_effects = effect_labels(fit) == effect_labels(before)
-    if same_effects and exclusion is None and updated.quality.chi2 > quality.chi2:
-        # The effects are the same, and a fit that had to carry a model error describes the data worse.
-        updated, after = model, before
-    residual = residual_map(batches, before, after, settings.residual_map)
+    # With the same effects, a fit that had to carry a model error may describe the data worse.
+    stays = same_effects and exclusion is None and updated.quality.chi2 > quality.chi2
+    updated = model if stays else updated
+    residual = residual_map(batches, before, before if stays else fit, settings.residual_map)
     intervals = mass_intervals(fit, batches, settings)
     effects = describe_added_effects(
         declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches, settings

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from balance_cli.reduction.flags import trust_text
 from balance_cli.report.answer import MOST_CARDS, answer_blocks
 from balance_cli.report.azimuth import DEGREES, waveform, waveform_sigma
 from balance_cli.report.few_runs import RUNS_SHOWN, condense, with_runs
 from balance_cli.report.page import build_page
 from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.sources import group_sources
-from balance_cli.report.trust_text import trust_text
 from tests.support.report_content import artefact, campaign, loads
 
 

@@ -1,4 +1,4 @@
-"""The record of a candidate that was tried."""
+"""Records of what was tried: of candidates that were scored, and of effects that were judged by refits alone."""
 
 from __future__ import annotations
 
@@ -26,4 +26,20 @@ def make_trial(
         reason=reason,
         cross_validation_gain=validation,
         noise_dof=float(score.noise_dof) if np.isfinite(score.noise_dof) else None,
+    )
+
+
+def refit_trial(
+    number: int, label: str, gain: float, decision: str, reason: str, parameters: int = 1, score: float = float("nan")
+) -> Trial:
+    """Return the trial in round `number` of an effect that was judged by refits, without a test of its own."""
+    return Trial(
+        round=number,
+        label=label,
+        score=score,
+        parameters=parameters,
+        p_value=1.0,
+        gain=gain,
+        decision=decision,
+        reason=reason,
     )

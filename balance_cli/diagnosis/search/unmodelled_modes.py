@@ -21,6 +21,7 @@ from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
 from balance_cli.diagnosis.search.rounds import search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.settings import SearchSettings, UnmodelledModeSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import evaluate_batch
@@ -54,7 +55,9 @@ def add_unmodelled_modes(
         return None, trials
     before, after = _labels(starts[0].geometry), _labels(state.geometry)
     gain, removed = costs[best] - costs[0], sorted(before - after)
-    return state, (*trials, *(_superseded_trial(first_round, label, gain) for label in removed))
+    reason = "resonances alone describe more"
+    superseded = (refit_trial(first_round, label, gain, "removed", reason, score=0.0) for label in removed)
+    return state, (*trials, *superseded)
 
 
 def _labels(geometry: Geometry) -> set[str]:
@@ -65,19 +68,6 @@ def _labels(geometry: Geometry) -> set[str]:
 def _cost(state: SearchState, parameter_cost: float) -> float:
     """-2 ln likelihood plus the cost of the free parameters."""
     return state.fit_criterion + parameter_cost * float(np.count_nonzero(state.model.parameters.free))
-
-
-def _superseded_trial(number: int, label: str, gain: float) -> Trial:
-    return Trial(
-        round=number,
-        label=label,
-        score=0.0,
-        parameters=1,
-        p_value=1.0,
-        gain=gain,
-        decision="removed",
-        reason="resonances alone describe more",
-    )
 
 
 def _add_modes(

@@ -10,6 +10,7 @@ from balance_cli.diagnosis.search.candidates import Candidate, candidates, param
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates, refine_point_mass
 from balance_cli.diagnosis.search.score_statistics import Score, score_in_two_stages
+from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.selection.candidate_refits import start_scored_candidate
 from balance_cli.diagnosis.selection.effect_selection import prune_effects, refit_without_effect, without_effect
 from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic
@@ -134,22 +135,9 @@ def _better_alternative(
 
 def _replacement_trials(number: int, label: str, better: str, gain: float, parameters: int) -> tuple[Trial, Trial]:
     """The trials of the effect that was removed, and of the one that replaced it."""
-
-    def trial(name: str, change: float, decision: str, reason: str) -> Trial:
-        return Trial(
-            round=number,
-            label=name,
-            score=float("nan"),
-            parameters=parameters,
-            p_value=1.0,
-            gain=change,
-            decision=decision,
-            reason=reason,
-        )
-
     return (
-        trial(label, -gain, "removed", f"{better} explains more in its place"),
-        trial(better, gain, "accepted", f"explains more than {label}"),
+        refit_trial(number, label, -gain, "removed", f"{better} explains more in its place", parameters),
+        refit_trial(number, better, gain, "accepted", f"explains more than {label}", parameters),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Sequence
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.selection.effect_selection import without_effect
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
 from balance_cli.diagnosis.settings import SearchSettings
@@ -70,19 +71,6 @@ def _merge(
 
 def _merge_trials(number: int, members: Sequence[PlacedEffect], label: str, loss: float) -> Iterator[Trial]:
     """The trials of the members, which are removed, and of the group, which replaces them."""
-    parameters = len(members[0].parameters)
-
-    def trial(name: str, decision: str, reason: str) -> Trial:
-        return Trial(
-            round=number,
-            label=name,
-            score=float("nan"),
-            parameters=parameters,
-            p_value=1.0,
-            gain=-loss,
-            decision=decision,
-            reason=reason,
-        )
-
-    yield from (trial(effect.label, "removed", f"{label} is one cause for all") for effect in members)
-    yield trial(label, "accepted", f"one cause in place of {len(members)}")
+    parameters, reason = len(members[0].parameters), f"{label} is one cause for all"
+    yield from (refit_trial(number, effect.label, -loss, "removed", reason, parameters) for effect in members)
+    yield refit_trial(number, label, -loss, "accepted", f"one cause in place of {len(members)}", parameters)

@@ -12,6 +12,7 @@ from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidate_at, parameters_of_interest, smaller_places
 from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.selection.effect_statistics import (
     effect_wald_statistic,
     shape_parameter_count,
@@ -120,16 +121,7 @@ def prune_effects(
 
 
 def _removal_trial(number: int, effect: PlacedEffect, parameters: int, gain: float, reason: str) -> Trial:
-    return Trial(
-        round=number,
-        label=effect.label,
-        score=gain,
-        parameters=parameters,
-        p_value=1.0,
-        gain=gain,
-        decision="removed",
-        reason=reason,
-    )
+    return refit_trial(number, effect.label, gain, "removed", reason, parameters, score=gain)
 
 
 def narrow_places(
@@ -195,16 +187,8 @@ def _is_negligible(loss: float, parameters: int, settings: SearchSettings) -> bo
 
 
 def _narrowing_trial(number: int, effect: PlacedEffect, smaller: PlacedEffect, parameters: int, loss: float) -> Trial:
-    return Trial(
-        round=number,
-        label=effect.label,
-        score=loss,
-        parameters=parameters,
-        p_value=1.0,
-        gain=loss,
-        decision="narrowed",
-        reason=f"nothing is lost at {smaller.label}",
-    )
+    reason = f"nothing is lost at {smaller.label}"
+    return refit_trial(number, effect.label, loss, "narrowed", reason, parameters, score=loss)
 
 
 def _lost_chi2(fit: Fit, effect: PlacedEffect, where: Where) -> tuple[float, int]:
