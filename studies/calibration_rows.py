@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.least_squares import CollinearError
 from studies.calibration_schedules import (
     CURVATURE,
@@ -110,7 +111,7 @@ def _run_case(schedule: Schedule, shape: str, rng: np.random.Generator) -> dict[
     x, channels = check_record(balance, schedule, recorded, rng)
     if not schedule.has_tares and schedule.series[-1] == 0:
         channels = channels + np.median(recorded.channels - balance.readings(schedule.x), axis=0)
-    whole = _calibrate(recorded, ("check", channels, x * FULL_RANGE[:k]))
+    whole = _calibrate(recorded, HeldOutRun("check", channels, x * FULL_RANGE[:k]))
     if whole is None:
         return {"refused": 1.0}
     by_model, direct = whole.checks
@@ -122,7 +123,7 @@ def _run_case(schedule: Schedule, shape: str, rng: np.random.Generator) -> dict[
     }
 
 
-def _calibrate(recorded: Recorded, check: tuple[str, Array, Array]) -> AllTrimsCalibration | None:
+def _calibrate(recorded: Recorded, check: HeldOutRun) -> AllTrimsCalibration | None:
     try:
         return calibrate_all_trims(calibration_points(recorded), [check], non_iterative=True)
     except CollinearError:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
 
@@ -247,7 +248,7 @@ def _judge(schedule: Schedule, recorded: Recorded, check: tuple[Array, Array]) -
     k = recorded.x.shape[1]
     x, channels = check
     try:
-        whole = calibrate_all_trims(points, [("check", channels, x * FULL_RANGE[:k])])
+        whole = calibrate_all_trims(points, [HeldOutRun("check", channels, x * FULL_RANGE[:k])])
     except CollinearError:
         return {"refused": 1.0}
     held = whole.checks[0]

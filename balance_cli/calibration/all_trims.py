@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads, Drift
-from balance_cli.calibration.check_loads import CheckModels, evaluate_check_loads, evaluate_check_points
+from balance_cli.calibration.check_loads import CheckModels, HeldOutRun, evaluate_check_loads, evaluate_check_points
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, refit_terms
 from balance_cli.calibration.load_directions import check_load_directions
 from balance_cli.calibration.math_model import CalibrationModel
@@ -39,33 +39,25 @@ MIN_ZEROS = 3
 
 def calibrate_all_trims(
     points: CalibrationPoints,
-    checks: Sequence[tuple[str, Array, Array]] = (),
+    held_out: Sequence[HeldOutRun] = (),
     choice: TermChoice = SEARCHED,
-    declared: Array | None = None,
     non_iterative: bool = False,
-    check_gravity: Mapping[str, Array] | None = None,
-    check_points: NDArray[np.bool_] | None = None,
-    repeat_scatter: Array | None = None,
 ) -> AllTrimsCalibration:
     """Fit one calibration model to the points of all trims.
 
-    `checks`: name, readings (m, c) [V] and loads (m, k) [N, N m] of each held-out run; `check_gravity`: directions of
-    gravity (m, 3) in rig axes of those that state their attitude, by name. With the `declared` response (c, k)
-    [V/N, V/(N m)] swapped channels are identified. With `non_iterative` the loads are also fitted as functions of the
-    readings. `check_points` (m,): rows of the points that check the model, and are not fitted. `choice`: the
-    terms that the model may have. `repeat_scatter` (c, c) [V2]: what the covariance of one reading
-    exceeds that of a row by, where rows are means of repeated ones.
+    With a declared response of the points swapped channels are identified. With `non_iterative` the loads are also
+    fitted as functions of the readings. `choice`: the terms that the model may have.
 
     Raises CollinearError where a load was never applied without the others, UserError where rows contradict each other.
     """
-    points = scheduled = replace(_with_check_points(points, check_points), declared_response=declared)
+    points = scheduled = _with_check_points(points)
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     check_load_directions(points, scheduled.weight > 0, _fitted_rows(screened.fit))
     fit, model, used = screened.fit, screened.fit.model, _fitted_rows(screened.fit)
     by = _fit_for_loads(total, fit, choice)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
-    models = _check_models(points, total, by, used, direct, repeat_scatter)
-    held_out = _held_out_checks(models, checks, tares, check_gravity or {})
+    models = _check_models(points, total, by, used, direct)
+    checks = (*_held_out_checks(models, held_out, tares), *_check_points_by_run(total, by, models))
     return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
@@ -77,10 +69,10 @@ def calibrate_all_trims(
         noise=models.noise,
         outliers=screened.outliers,
         suspect_series=screened.suspect_series,
-        swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
+        swapped_channels=_swapped_channels(points),
         screening_notes=_screening_notes(points, screened, tares),
         non_iterative=direct,
-        checks=(*held_out, *_check_points_by_run(total, by, models, check_points)),
+        checks=checks,
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,
@@ -96,20 +88,24 @@ def _check_models(
     fit: CalibrationModelFit,
     used: NDArray[np.bool_],
     direct: NonIterativeModel | None,
-    repeat_scatter: Array | None,
 ) -> CheckModels:
     """The models that compute loads, with the noise of a reading and what the rows could not show."""
     model = fit.model
     untested = find_untested_products(model, total.loads[used], points.channels[used], points.load_series[used])
-    return CheckModels(model, _estimate_noise(points, fit, used, repeat_scatter), direct, untested)
+    return CheckModels(model, _estimate_noise(points, fit, used), direct, untested)
 
 
-def _with_check_points(points: CalibrationPoints, is_check: NDArray[np.bool_] | None) -> CalibrationPoints:
+def _with_check_points(points: CalibrationPoints) -> CalibrationPoints:
     """The points with those that check the model in their schedule; unloaded ones stand for the tare points there."""
-    tare = points.tare_points
-    if is_check is not None and tare is not None:
-        tare = tare | (is_check & ~np.any(points.loads, axis=1))
-    return replace(points, check_points=is_check, tare_points=tare)
+    if points.check_points is None or points.tare_points is None:
+        return points
+    return replace(points, tare_points=points.tare_points | (points.check_points & ~np.any(points.loads, axis=1)))
+
+
+def _swapped_channels(points: CalibrationPoints) -> tuple[str, ...]:
+    """The channels that are swapped, where the declared response tells."""
+    declared = points.declared_response
+    return () if declared is None else find_swapped_channels(points, declared * points.calibrated_range)
 
 
 def _fitted_rows(fit: CalibrationModelFit) -> NDArray[np.bool_]:
@@ -121,15 +117,10 @@ def _fit_for_loads(points: CalibrationPoints, fit: CalibrationModelFit, choice: 
     return (fit_random_terms(points, fit) if choice.is_search else None) or fit
 
 
-def _held_out_checks(
-    models: CheckModels,
-    checks: Sequence[tuple[str, Array, Array]],
-    tares: Tares | None,
-    gravity: Mapping[str, Array],
-) -> Iterator[CheckLoads]:
-    for name, channels, loads in checks:
-        weight = _tare_loads(tares, models.model, gravity.get(name))
-        yield from evaluate_check_loads(models, name, channels, loads, weight)
+def _held_out_checks(models: CheckModels, held_out: Sequence[HeldOutRun], tares: Tares | None) -> Iterator[CheckLoads]:
+    for run in held_out:
+        weight = _tare_loads(tares, models.model, run.gravity)
+        yield from evaluate_check_loads(models, run.name, run.channels, run.loads, weight)
 
 
 def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Tares | None) -> tuple[str, ...]:
@@ -139,15 +130,13 @@ def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Ta
     return (*screened.screening_notes, *alarms, *own_products, *zeros, *undetermined_weight_notes(points, tares))
 
 
-def _estimate_noise(
-    points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_], repeat_scatter: Array | None
-) -> CalibrationNoise:
+def _estimate_noise(points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_]) -> CalibrationNoise:
     """Noise of one reading: that of a row, which may be a mean of several, and what each scatters beyond it."""
     C = fit.model.coefficients[: len(fit.model.components)].T
     noise = estimate_calibration_noise(fit.residuals[used], points.x[used], C, fit.model.residual_covariance)
-    if repeat_scatter is None:
+    if points.repeat_scatter is None:
         return noise
-    return replace(noise, reading_covariance=noise.reading_covariance + repeat_scatter)
+    return replace(noise, reading_covariance=noise.reading_covariance + points.repeat_scatter)
 
 
 def _with_final_range(
@@ -174,13 +163,13 @@ def _with_final_range(
 
 
 def _check_points_by_run(
-    total: CalibrationPoints, fit: CalibrationModelFit, models: CheckModels, is_check: NDArray[np.bool_] | None
+    total: CalibrationPoints, fit: CalibrationModelFit, models: CheckModels
 ) -> Iterator[CheckLoads]:
     """Check points of each run whose load series were fitted."""
-    if is_check is None:
+    if total.check_points is None:
         return
     fitted = np.unique(total.load_series[np.isfinite(fit.residuals).all(axis=1)])
-    known = is_check & np.isin(total.load_series, fitted)
+    known = total.check_points & np.isin(total.load_series, fitted)
     for run in np.unique(total.run[known]).tolist():
         rows = known & (total.run == run)
         series = np.searchsorted(fitted, total.load_series[rows])

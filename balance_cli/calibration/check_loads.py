@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,15 @@ NON_ITERATIVE = "non-iterative method"
 """Name of the other method; stored in artefacts."""
 MAX_ZERO_SHIFT = 4.0
 """Standard errors by which the zero of a run without tare point may differ from that of the calibration to equal it."""
+
+
+class HeldOutRun(NamedTuple):
+    """Readings (m, c) [V] and loads (m, k) [N, N m] of a held-out run, and the directions of gravity (m, 3) in it."""
+
+    name: str
+    channels: Array
+    loads: Array
+    gravity: Array | None = None
 
 
 @dataclass(frozen=True)

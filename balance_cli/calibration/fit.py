@@ -36,6 +36,8 @@ class CalibrationPoints:
     attitude; None where no run states one. `stated_series` (m,): labels of the load series, or empty; `series` (m,):
     their numbers where known. `tare_points` (m,): rows stated to be that; `check_points` (m,): rows of weight 0 in the
     schedule. `reading_units` (c,), default V; `declared_response` (c, k) [V/N, V/(N m)], of the geometry.
+    `repeat_scatter` (c, c) [V2]: what the covariance of one reading exceeds that of a row by, where rows are means of
+    repeated ones.
     """
 
     channel_names: tuple[str, ...]
@@ -53,6 +55,7 @@ class CalibrationPoints:
     series: Index | None = None
     reading_units: tuple[str, ...] = ()
     declared_response: Array | None = None
+    repeat_scatter: Array | None = None
 
     def reading_unit(self, channel: int) -> str:
         """Base unit of the readings of a channel."""

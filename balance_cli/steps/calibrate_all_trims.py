@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import calibrate_all_trims, read_load_points
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.term_choice import TermChoice
@@ -58,15 +59,22 @@ def fit_all_trims(
     if len(names) < len(components.names) or any(_has_uncarried_loads(run, components) for run in runs):
         return None
     units = {channel.name: channel.reading_unit for channel in geometry.channels}
-    points = replace(stack_points(members, components), reading_units=tuple(units[name] for name in names))
+    points = stack_points(members, components)
+    points = replace(
+        points,
+        reading_units=tuple(units[name] for name in names),
+        declared_response=_declared_response(geometry, points),
+        repeat_scatter=repeat_scatter(members.rows, names),
+        check_points=np.concatenate([rows.is_check for rows in members.rows]),
+    )
     for run in hold_out:
         _check_hold_out_channels(run, names)
-    checks = [(run.name, *read_load_points(run, names, components)) for run in hold_out]
+    gravity = _gravity_by_run(hold_out)
+    held_out = [
+        HeldOutRun(run.name, *read_load_points(run, names, components), gravity.get(run.name)) for run in hold_out
+    ]
     try:
-        declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
-        scatter = repeat_scatter(members.rows, names)
-        check_points = np.concatenate([rows.is_check for rows in members.rows])
-        return calibrate_all_trims(points, checks, choice, declared, non_iterative, by_run, check_points, scatter)
+        return calibrate_all_trims(points, held_out, choice, non_iterative)
     except CollinearError:
         return None
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.check_zeros import zeros_of_run
 from balance_cli.calibration.fit import CalibrationPoints
 
@@ -40,7 +41,9 @@ def held_out(tare, seed=3, shift=SHIFT):
         np.ones(3),
     )
     x, series = series_rows(tare)
-    return calibrate_all_trims(points, [("held", readings(x, series, rng, shift), x)], non_iterative=True).checks
+    return calibrate_all_trims(
+        points, [HeldOutRun("held", readings(x, series, rng, shift), x)], non_iterative=True
+    ).checks
 
 
 @pytest.mark.parametrize(("tare", "side"), [("first", "before"), ("last", "after"), ("both", "before and after")])

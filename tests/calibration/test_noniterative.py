@@ -7,6 +7,7 @@ import numpy as np
 from click.testing import CliRunner
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.load_method import choose_load_method
 from balance_cli.calibration.noniterative import fit_noniterative_model
@@ -206,7 +207,7 @@ def test_check_loads_are_checked_by_both_methods_and_say_which():
     rng = np.random.default_rng(8)
     applied = np.vstack([np.zeros(6), rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE])
     read = truth.readings(applied) + NOISE * rng.normal(size=(301, 8))
-    by_model, direct = calibrate_all_trims(points, [("again", read, applied)], non_iterative=True).checks
+    by_model, direct = calibrate_all_trims(points, [HeldOutRun("again", read, applied)], non_iterative=True).checks
     assert (by_model.label, direct.label) == ("again", "again, non-iterative method")
     assert not np.array_equal(by_model.computed, direct.computed)
     for check in (by_model, direct):

@@ -80,7 +80,7 @@ def test_check_points_stand_in_the_schedule():
     _, points = recorded(x, series)
     is_check = (series == 6) & np.any(x != 0, axis=1)
     points = replace(points, weight=np.where(is_check, 0.0, 1.0), tare_points=np.all(x == 0, axis=1))
-    whole = calibrate_all_trims(points, choice=LINEAR_TERMS, check_points=is_check)
+    whole = calibrate_all_trims(replace(points, check_points=is_check), choice=LINEAR_TERMS)
     np.testing.assert_array_equal(whole.load_series, series)
     assert whole.outliers == () and whole.checks[0].applied.shape == (9, 6)
 

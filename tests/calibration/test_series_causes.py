@@ -103,7 +103,7 @@ def test_two_series_that_contradict_each_other_are_settled_by_the_declared_rig_o
     with pytest.raises(UserError, match=r"rows 41 to 50 \(Fz\) and .*rows 51 to 60 \(Fz\): contradict .*sign .* of Fz"):
         calibrate_all_trims(points)
     declared = 1.03 * (true_model()[1][:6] / FULL_RANGE[:, None]).T
-    whole = calibrate_all_trims(points, declared=declared)
+    whole = calibrate_all_trims(replace(points, declared_response=declared))
     np.testing.assert_array_equal(~np.isfinite(whole.residuals).all(axis=1), series == wrong)
     assert any("declared geometry refutes" in note for note in whole.screening_notes)
     response = whole.model.coefficients[:6] / whole.model.calibrated_range[:, None]
@@ -113,7 +113,8 @@ def test_two_series_that_contradict_each_other_are_settled_by_the_declared_rig_o
 def test_declared_sensitivities_that_fit_neither_series_settle_nothing():
     _, points = two_series_a_load(5, -1.0)
     with pytest.raises(UserError, match="contradict"):
-        calibrate_all_trims(points, declared=np.random.default_rng(1).normal(size=(8, 6)) / FULL_RANGE)
+        random = np.random.default_rng(1).normal(size=(8, 6)) / FULL_RANGE
+        calibrate_all_trims(replace(points, declared_response=random))
 
 
 @pytest.mark.parametrize("wrong", [0, 3])

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.outliers import screen_outliers
 from balance_cli.calibration.tare_result import weight_loads
@@ -154,9 +155,9 @@ def test_a_check_in_another_attitude_is_found_less_its_weight():
     points, check = tilted_stand(1, True), tilted_stand(2, True, np.array([[10.0, 60.0]]))
     # Many rows at the first load, so that the zero of the check is no matter.
     many = np.r_[np.zeros(200, int), np.arange(len(check.loads))]
-    made = ("check", check.channels[many], check.loads[many])
+    made = HeldOutRun("check", check.channels[many], check.loads[many])
     made[1][:200] += NOISE * np.random.default_rng(1).normal(size=(200, 8)) - (made[1][0] - quiet_first(check))
-    with_weight = calibrate_all_trims(points, [made], check_gravity={"check": check.gravity[many]}).checks[0]
+    with_weight = calibrate_all_trims(points, [made._replace(gravity=check.gravity[many])]).checks[0]
     without_weight = calibrate_all_trims(points, [made]).checks[0]
     assert np.all(with_weight.interval_coverage > 0.91)
     assert np.all(with_weight.error < 1.01 * without_weight.error) and np.any(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.check_loads import HeldOutRun
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.unidentifiable_terms import _shared_variance
 from balance_cli.calibration.untested_products import find_untested_products
@@ -161,7 +162,7 @@ def hanging_series():
 def test_products_of_third_degree_are_in_the_intervals_where_pairs_of_loads_do_not_tell_them():
     """Signals with their cubes: before these products 55 % of the check loads were in their intervals."""
     cubes = [drawn_points(lambda s: s + 0.03 * s**3, hanging_series(), seed) for seed in range(3)]
-    found = [calibrate_all_trims(points, [run]) for points, run in cubes]
+    found = [calibrate_all_trims(points, [HeldOutRun(*run)]) for points, run in cubes]
     assert np.mean([coverage(each.checks[0]) for each in found]) > 0.92
     said = found[0].untested_products.describe(np.full(4, 0.5))
     assert "products of third degree" in said
@@ -169,7 +170,7 @@ def test_products_of_third_degree_are_in_the_intervals_where_pairs_of_loads_do_n
     points, run = drawn_points(lambda s: s, hanging_series(), 5)
     own = np.vstack([0.03 * np.eye(4), np.zeros((1, 4))]).T[:, :5]
     points = replace(points, channels=points.channels + points.loads**3 @ own)
-    kept = calibrate_all_trims(points, [("check", run[1] + run[2] ** 3 @ own, run[2])])
+    kept = calibrate_all_trims(points, [HeldOutRun("check", run[1] + run[2] ** 3 @ own, run[2])])
     model, untested = kept.loads_model, kept.untested_products
     assert model.is_nonlinear
     share = untested.reading_variance(run[2]).mean(axis=0) / np.diag(model.residual_covariance)
