@@ -27,6 +27,7 @@ from balance_cli.diagnosis.selection.effect_selection import keep_effects, narro
 from balance_cli.diagnosis.selection.fit import Fit, continue_fit, fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
@@ -134,68 +135,78 @@ def _starts_of_modes(task: _UpdateTask, update: UpdateResult) -> list[Estimate]:
     return [update.fit, keep_effects(task.certain_labels, update.fit.geometry, task.start)]
 
 
+@dataclass(frozen=True)
+class _Stage:
+    """The fit on all lines after a stage of the selection, and by label of each effect those that came near it."""
+
+    fit: Fit
+    trials: tuple[Trial, ...]
+    alternatives: Mapping[str, tuple[str, ...]]
+
+    @property
+    def next_round(self) -> int:
+        """The number of the next round."""
+        return last_round(self.trials) + 1
+
+    def add(self, fit: Fit, trials: Sequence[Trial]) -> _Stage:
+        """Return the stage after further trials, which have led to this fit."""
+        return replace(self, fit=fit, trials=(*self.trials, *trials))
+
+
 def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> UpdateResult:
     """Test the result of a search on all lines: confirm, prune, drop what is unsupported, and compare alternatives."""
     task.announce("maximum likelihood of all lines")
-    settings, state = task.settings, search_result.state
-    task = _weight_by_force_noise(task, state)
-    fit, narrowed, batches, error_runs = _first_fit(task, state, last_round(search_result.trials) + 1)
-    trials, alternatives = (*search_result.trials, *narrowed), _search_alternatives(search_result, settings)
-    for number in range(settings.selection.max_passes):
-        confirmation = confirm(fit, batches, error_runs, last_round(trials) + 1, task.announce, settings)
-        trials = (*trials, *confirmation.trials)
-        alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
-        changed = bool(error_runs) and _has_new_effects(confirmation.fit, task)
-        refit = _refit_against_noise(confirmation.fit, task) if changed else None
+    # Other effects would describe the noise of nonlinear forces where the weights lack it.
+    task = replace(task, batches=add_force_noise(task.batches, search_result.state.system(derivatives=False)))
+    settings, last_pass = task.settings, task.settings.selection.max_passes - 1
+    stage, selection = _first_stage(task, search_result)
+    for number in range(last_pass + 1):
+        stage, confirmation = _confirm(stage, selection)
+        changed = bool(selection.error_runs) and _has_new_effects(stage.fit, task)
+        refit = _refit_against_noise(stage.fit, task) if changed else None
         if refit is not None:
-            error_runs, batches, fit = frozenset(), list(task.batches), refit
-            confirmation = confirm(fit, batches, error_runs, last_round(trials) + 1, task.announce, settings)
-            trials = (*trials, *confirmation.trials)
-            alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
+            selection = replace(selection, batches=task.batches, error_runs=())
+            stage, confirmation = _confirm(replace(stage, fit=refit), selection)
         over = task.announce("effect selection")
-        fit, merged = merge_common_causes(
-            confirmation.fit, batches, task.given_labels, last_round(trials) + 1, settings
-        )
-        trials = (*trials, *merged)
-        count, last = len(confirmation.scores), last_round(trials) + 1
-        fit, removed = select_effects(
-            fit, batches, error_runs, task.certain_labels, count, last, task.announce, settings
-        )
-        comparison = compare_alternatives(
-            fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
-        )
-        trials, fit = (*trials, *removed, *comparison.trials), comparison.fit
-        if over or not comparison.trials or number == settings.selection.max_passes - 1:
+        stage = stage.add(*merge_common_causes(stage.fit, selection, stage.next_round))
+        count, last = len(confirmation.scores), stage.next_round
+        stage = stage.add(*select_effects(stage.fit, selection, count, last))
+        comparison = compare_alternatives(stage.fit, selection, stage.alternatives, count, last + 1)
+        stage = stage.add(comparison.fit, comparison.trials)
+        if over or not comparison.trials or number == last_pass:
             break
-    tested = examine_hypotheses(fit, batches, last_round(trials) + 1, settings)
-    fit = tested.fit
-    fit = continue_fit(fit, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
+    tested = examine_hypotheses(stage.fit, selection.batches, stage.next_round, settings)
+    fit = continue_fit(tested.fit, selection.batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     support = {**comparison.effect_support, **tested.support}
-    confirmation = score_again(confirmation, fit, batches, settings)
-    known = None if error_runs else fit.minimum.data.information
+    confirmation = score_again(confirmation, fit, selection.batches, settings)
+    known = None if selection.error_runs else fit.minimum.data.information
     is_good = is_good_fit(confirmation, model_quality(fit, task.batches, known), settings)
-    return UpdateResult(fit, support, (*trials, *tested.trials), confirmation, is_good)
+    return UpdateResult(fit, support, (*stage.trials, *tested.trials), confirmation, is_good)
 
 
-def _weight_by_force_noise(task: _UpdateTask, state: SearchState) -> _UpdateTask:
-    """The task with the noise of nonlinear forces in its weights, which other effects would describe."""
-    return replace(task, batches=add_force_noise(task.batches, state.system(derivatives=False)))
+def _confirm(stage: _Stage, selection: SelectionTask) -> tuple[_Stage, ConfirmedFit]:
+    """The stage with the significant effects that it lacks, and how they were confirmed."""
+    confirmation = confirm(stage.fit, selection, stage.next_round)
+    near = _confirm_alternatives(confirmation, selection.settings)
+    stage = stage.add(confirmation.fit, confirmation.trials)
+    return replace(stage, alternatives={**stage.alternatives, **near}), confirmation
 
 
-def _first_fit(
-    task: _UpdateTask, state: SearchState, number: int
-) -> tuple[Fit, tuple[Trial, ...], Sequence[Batch], frozenset[str]]:
-    """The state of the search fitted on all lines, its trials, the batches, and their runs that carry a model error."""
+def _first_stage(task: _UpdateTask, search_result: SearchResult) -> tuple[_Stage, SelectionTask]:
+    """The state of the search fitted on all lines, and what its effects are tested with."""
+    state, settings, trials = search_result.state, task.settings, search_result.trials
     # While the model still has an error, the noise alone is no measure of significance.
-    noise_alone = state.error <= task.settings.rounds.large_error
-    batches = list(task.batches) if noise_alone else add_model_error(task.batches, state.shares)
-    fit, trials = _fit_and_narrow(state, batches, noise_alone, number, task.settings)
+    noise_alone = state.error <= settings.rounds.large_error
+    batches = task.batches if noise_alone else add_model_error(task.batches, state.shares)
+    fit, narrowed = _fit_and_narrow(state, batches, noise_alone, last_round(trials) + 1, settings)
     # The lines of the search hold the start transient, which looks like an error of the model.
     refit = None if noise_alone or _has_new_effects(fit, task) else _refit_against_noise(fit, task)
     if refit is not None:
-        return refit, trials, list(task.batches), frozenset()
-    with_error = frozenset() if noise_alone else frozenset(name for name, share in state.shares.items() if share > 0)
-    return fit, trials, batches, with_error
+        fit, batches, noise_alone = refit, task.batches, True
+    error_runs = frozenset(name for name, share in state.shares.items() if share > 0 and not noise_alone)
+    stage = _Stage(fit, (*trials, *narrowed), _search_alternatives(search_result, settings))
+    known = (task.given_labels, task.certain_labels)
+    return stage, SelectionTask(batches, settings, task.announce, error_runs, *known)
 
 
 def _fit_and_narrow(
@@ -251,11 +262,12 @@ def _search_alternatives(search_result: SearchResult, settings: SearchSettings) 
 
 def _confirm_alternatives(confirmation: ConfirmedFit, settings: SearchSettings) -> dict[str, tuple[str, ...]]:
     """By label of each effect, the candidates that came near it in its round of the confirmation, nearest first."""
-    return {label: _labels_within(gaps, settings.alternative_gap) for label, gaps in confirmation.alternatives.items()}
-
-
-def _labels_within(gaps: Mapping[str, float], limit: float) -> tuple[str, ...]:
-    return tuple(name for name, gap in sorted(gaps.items(), key=lambda item: item[1]) if gap < limit)
+    return {
+        label: tuple(
+            name for name in sorted(gaps, key=lambda name: gaps[name]) if gaps[name] < settings.alternative_gap
+        )
+        for label, gaps in confirmation.alternatives.items()
+    }
 
 
 def effect_labels(estimate: Estimate) -> set[str]:

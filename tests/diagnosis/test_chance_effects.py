@@ -10,6 +10,7 @@ from balance_cli.diagnosis.selection import effect_selection
 from balance_cli.diagnosis.selection.effect_selection import REASON_NOT_NEEDED, prune_effects, select_effects
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.measured_spectra import measured_spectra
@@ -51,7 +52,7 @@ def fit_with(effects, batches):
 @pytest.mark.parametrize("is_over", [True, False])
 def test_what_chance_explains_is_never_left_in(batches, is_over):
     fit = fit_with((LATE, *CHANCE), batches)
-    pruned, trials = prune_effects(fit, batches, 300, 1, lambda _: is_over, SETTINGS)
+    pruned, trials = prune_effects(fit, SelectionTask(batches, SETTINGS, lambda _: is_over), 300, 1)
     assert [effect.effect.name for effect in declared_effects(pruned.model.geometry)] == ["time-delay"]
     assert [trial.reason for trial in trials] == [REASON_NOT_NEEDED] * 2
     alone = fit_with((LATE,), batches)
@@ -63,7 +64,7 @@ def test_what_only_an_unsupported_effect_had_made_necessary_goes_with_it(batches
     """A wrong effect may need others that correct it; without it the right ones are enough."""
     left = fit_with((LATE, *CHANCE), batches)
     monkeypatch.setattr(effect_selection, "drop_unsupported_effects", lambda *_: (left, ("removed",)))
-    fit, trials = select_effects(fit_with((LATE,), batches), batches, (), (), 300, 1, lambda _: True, SETTINGS)
+    fit, trials = select_effects(fit_with((LATE,), batches), SelectionTask(batches, SETTINGS, lambda _: True), 300, 1)
     assert [effect.effect.name for effect in declared_effects(fit.model.geometry)] == ["time-delay"]
     assert trials[0] == "removed"
     assert [trial.reason for trial in trials[1:]] == [REASON_NOT_NEEDED] * 2

@@ -14,6 +14,7 @@ from balance_cli.diagnosis.search.initial_candidates import initial_candidates
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -111,12 +112,14 @@ def test_a_channel_that_differs_is_a_cause_of_its_own():
 
 def test_delays_of_all_channels_become_that_of_their_group(late):
     fit, batches = fit_with(late, *(effect("time-delay", name, delay=DELAY) for name in PIEZO))
-    merged, trials = merge_common_causes(fit, batches, (), 5, SETTINGS)
+    merged, trials = merge_common_causes(fit, SelectionTask(batches, SETTINGS, lambda _: False), 5)
     assert labels(merged.model.geometry) == {"time-delay@piezo"}
     assert merged.theta[merged.model.parameters.index("time-delay@piezo.delay")] == pytest.approx(DELAY, rel=0.01)
     assert [trial.decision for trial in trials] == ["removed"] * len(PIEZO) + ["accepted"]
     assert merged.chi2 - fit.chi2 < 30.0
-    given, none = merge_common_causes(fit, batches, labels(fit.model.geometry), 5, SETTINGS)
+    given, none = merge_common_causes(
+        fit, SelectionTask(batches, SETTINGS, lambda _: False, given_labels=labels(fit.model.geometry)), 5
+    )
     assert given is fit and none == ()
 
 
@@ -124,7 +127,7 @@ def test_gains_that_differ_stay_as_many():
     gains = np.linspace(1.01, 1.03, len(PIEZO))
     each = [effect("channel-gain", name, gain=float(gain)) for name, gain in zip(PIEZO, gains, strict=True)]
     fit, batches = fit_with(spectra_of(*each), *each)
-    assert merge_common_causes(fit, batches, (), 5, SETTINGS) == (fit, ())
+    assert merge_common_causes(fit, SelectionTask(batches, SETTINGS, lambda _: False), 5) == (fit, ())
 
 
 def test_a_suspect_is_tested_and_kept_only_where_it_is_significant(late):

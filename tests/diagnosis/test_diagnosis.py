@@ -29,6 +29,7 @@ from balance_cli.diagnosis.selection.effect_selection import (
 from balance_cli.diagnosis.selection.effect_statistics import confounding_limit, effect_wald_statistic
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -319,7 +320,7 @@ def test_a_better_alternative_replaces_an_effect(late):
     start = extend_model(balance_model(RIG).at(), add_candidates(RIG, [(wrong, 0)]))
     batches = lines_of(late)
     fit = fit_all_lines(start, batches, SETTINGS.fit)
-    found = compare_alternatives(fit, batches, (), {}, 400, 2, lambda what: None, SETTINGS)
+    found = compare_alternatives(fit, SelectionTask(batches, SETTINGS, never_over), {}, 400, 2)
     assert (
         set(found.effect_support) == {"time-delay@z1.piezo"}
         or "time-delay@z1.piezo" in found.effect_support["low-pass@z1.piezo"].equivalent
@@ -329,7 +330,9 @@ def test_a_better_alternative_replaces_an_effect(late):
     assert found.trials[0].label == "crosstalk@z1.piezo,x.piezo"
     (standing,) = found.effect_support.values()
     assert standing.gain > 50.0
-    kept = compare_alternatives(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None, SETTINGS)
+    kept = compare_alternatives(
+        fit, SelectionTask(batches, SETTINGS, never_over, given_labels=(wrong.label,)), {}, 400, 2
+    )
     assert kept.fit is fit
     assert not kept.effect_support
 
@@ -350,16 +353,18 @@ def test_small_effects_are_dropped_beside_a_large_residual():
     names = [name for batch in batches for name in batch.run_names]
     one, every = (unexplained_chi2(fit, batches, runs, SETTINGS.fit) for runs in (names[:1], names))
     assert unexplained < one < every == pytest.approx(fit.minimum.data.chi2)
-    assert drop_unsupported_effects(fit, batches, (), (), 3, lambda what: True, SETTINGS) == (fit, ()), "no time"
+    assert drop_unsupported_effects(fit, SelectionTask(batches, SETTINGS, lambda what: True), 3) == (fit, ()), "no time"
     # What chance explains goes whether or not there is time.
     for announce in (lambda what: True, never_over):
-        pruned, removed = prune_effects(fit, batches, 400, 3, announce, SETTINGS)
+        pruned, removed = prune_effects(fit, SelectionTask(batches, SETTINGS, announce), 400, 3)
         assert [(trial.label, trial.decision) for trial in removed] == [("channel-gain@y2.strain", "removed")]
         assert not pruned.model.geometry.effects
-    less, trials = drop_unsupported_effects(fit, batches, (), (), 3, never_over, SETTINGS)
+    less, trials = drop_unsupported_effects(fit, SelectionTask(batches, SETTINGS, never_over), 3)
     assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
     assert not less.model.geometry.effects
-    assert drop_unsupported_effects(fit, batches, (), ("channel-gain@y2.strain",), 3, never_over, SETTINGS) == (fit, ())
+    assert drop_unsupported_effects(
+        fit, SelectionTask(batches, SETTINGS, never_over, certain_labels=("channel-gain@y2.strain",)), 3
+    ) == (fit, ())
 
 
 STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={"stiffness": 2e4})
@@ -393,7 +398,7 @@ def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
     monkeypatch.setattr(
         "balance_cli.diagnosis.selection.effect_selection.unexplained_chi2", lambda fit, batches, runs, settings: 1e5
     )
-    assert drop_unsupported_effects(fit, batches, (), (), 3, never_over, SETTINGS) == (fit, ())
+    assert drop_unsupported_effects(fit, SelectionTask(batches, SETTINGS, never_over), 3) == (fit, ())
 
 
 def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from balance_cli.diagnosis.result import Trial
@@ -15,6 +15,7 @@ from balance_cli.diagnosis.selection.candidate_refits import start_scored_candid
 from balance_cli.diagnosis.selection.effect_selection import prune_effects, refit_without_effect, without_effect
 from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic
 from balance_cli.diagnosis.selection.fit import Fit, fit_contenders
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.model.balance import Estimate
@@ -58,14 +59,7 @@ class _Comparison:
 
 
 def compare_alternatives(
-    fit: Fit,
-    batches: Sequence[Batch],
-    given_labels: Collection[str],
-    alternatives: Mapping[str, Sequence[str]],
-    count: int,
-    number: int,
-    announce: Callable[[str], bool],
-    settings: SearchSettings,
+    fit: Fit, task: SelectionTask, alternatives: Mapping[str, Sequence[str]], count: int, number: int
 ) -> ComparisonResult:
     """Compare every effect that is not given with its `alternatives` (labels), and a weak one with all candidates.
 
@@ -73,23 +67,23 @@ def compare_alternatives(
     unnecessary are removed, and all effects are compared once more: two small effects may have stood for a large one.
     """
     known, result = dict(alternatives), ComparisonResult(fit)
-    while effect := _next_effect(result, given_labels):
-        over = announce(f"evidence of {effect.label}")
+    while effect := _next_effect(result, task.given_labels):
+        over = task.announce(f"evidence of {effect.label}")
         label, fit = effect.label, result.fit
         comparison = (
             _Comparison(EffectSupport(*effect_wald_statistic(fit, effect), ()), {}, None)
             if over
-            else _compare(fit, effect, batches, known.get(label, ()), settings)
+            else _compare(fit, effect, task.batches, known.get(label, ()), task.settings)
         )
         better = comparison.better
-        if better is None or len(result.trials) >= 2 * settings.selection.max_replaced:
+        if better is None or len(result.trials) >= 2 * task.settings.selection.max_replaced:
             support = {**result.effect_support, label: comparison.support}
             result = ComparisonResult(fit, support, result.trials)
             continue
         refit = comparison.refits[better]
         replaced = _replacement_trials(number, label, better, fit.chi2 - refit.chi2, comparison.support.parameters)
         known[better] = (label, *known.get(label, ()))
-        fit, removed = prune_effects(refit, batches, count, number, announce, settings)
+        fit, removed = prune_effects(refit, task, count, number)
         result = ComparisonResult(fit, {}, (*result.trials, *replaced, *removed))
     return result
 

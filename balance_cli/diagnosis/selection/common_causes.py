@@ -10,27 +10,26 @@ from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.selection.effect_selection import without_effect
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.batch import Batch
 from balance_cli.model.placed_effects import PlacedEffect, declare_effect, declared_effects, effect_label, place_effect
 
 
-def merge_common_causes(
-    fit: Fit, batches: Sequence[Batch], given_labels: Collection[str], number: int, settings: SearchSettings
-) -> tuple[Fit, tuple[Trial, ...]]:
+def merge_common_causes(fit: Fit, task: SelectionTask, number: int) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the fit with groups in the place of their channels, where chi-square does not rise significantly.
 
-    Effects of `given_labels` stay as they are. Large groups are tried first.
+    Given effects stay as they are. Large groups are tried first.
     """
     trials: tuple[Trial, ...] = ()
-    for group, members in _merge_proposals(fit, given_labels):
+    for group, members in _merge_proposals(fit, task.given_labels):
         present = {effect.label for effect in declared_effects(fit.geometry)}
         if not {effect.label for effect in members} <= present:
             continue
-        merged = _merge(fit, group, members, batches, settings)
+        merged = _merge(fit, group, members, task.batches, task.settings)
         loss, saved = merged.chi2 - fit.chi2, len(members) - 1
-        if gain_p_value(loss, saved) > settings.selection.negligible_p_value:
+        if gain_p_value(loss, saved) > task.settings.selection.negligible_p_value:
             trials = (*trials, *_merge_trials(number, members, effect_label(members[0].effect.name, (group,)), loss))
             fit = merged
     return fit, trials

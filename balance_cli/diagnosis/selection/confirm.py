@@ -6,7 +6,7 @@ not used, and must keep its gain when everything is refitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 from balance_cli.diagnosis.result import Trial
@@ -19,6 +19,7 @@ from balance_cli.diagnosis.selection.cross_validation import cross_validation_ga
 from balance_cli.diagnosis.selection.effect_statistics import confounding_limit
 from balance_cli.diagnosis.selection.fit import Fit, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
@@ -27,8 +28,6 @@ from balance_cli.model.placed_effects import declared_effects
 REASON_SMALL_GAIN = "takes too little off what no noise explains"
 REASON_NO_TIME = "the time limit was reached before its refit"
 REASON_CONFOUNDED = "gains no more than what is not exactly known of "
-
-Announce = Callable[[str], bool]
 
 
 @dataclass(frozen=True)
@@ -84,25 +83,15 @@ class _RoundResult:
     ended: bool = False
 
 
-def confirm(
-    fit: Fit,
-    batches: Sequence[Batch],
-    error_runs: Collection[str],
-    first_round: int,
-    announce: Announce,
-    settings: SearchSettings,
-) -> ConfirmedFit:
-    """Add significant effects one by one, as long as each explains a fair share of the unexplained chi-square.
-
-    `error_runs`: names of the runs whose weights carry a model error.
-    """
-    result = ConfirmedFit(fit)
+def confirm(fit: Fit, task: SelectionTask, first_round: int) -> ConfirmedFit:
+    """Add significant effects one by one, as long as each explains a fair share of the unexplained chi-square."""
+    result, batches, settings = ConfirmedFit(fit), task.batches, task.settings
     for number in range(first_round, first_round + settings.selection.max_rounds):
-        over = announce(f"all lines, round {number}")
+        over = task.announce(f"all lines, round {number}")
         fit = result.fit
         pool = candidates(fit.geometry, excluded=settings.excluded)
         scores = score_in_two_stages(fit, batches, pool, settings)
-        unexplained = unexplained_chi2(fit, batches, error_runs, settings.fit)
+        unexplained = unexplained_chi2(fit, batches, task.error_runs, settings.fit)
         threshold = settings.selection.min_effect_share * unexplained
         smallest_p_value, step = _confirm_round(
             _RoundContext(number, fit, batches, scores, threshold, settings, over), result.refused

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from balance_cli.diagnosis.selection.effect_statistics import (
 )
 from balance_cli.diagnosis.selection.fit import Fit, ReducedFit, fit_all_lines, fit_contenders, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import frequency_looks, independent_gain
+from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
@@ -28,7 +29,6 @@ from balance_cli.model.effects import Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
-Announce = Callable[[str], bool]
 
 REASON_NOT_NEEDED = "later effects have made it needless"
 REASON_NOT_SUPPORTED = "what no effect explains is larger and could look like it"
@@ -61,46 +61,36 @@ def _declared_and_placed(geometry: Geometry) -> list[tuple[DeclaredEffect, Place
     return [(item, declared_effects(geometry.model_copy(update={"effects": (item,)}))[0]) for item in geometry.effects]
 
 
-def select_effects(
-    fit: Fit,
-    batches: Sequence[Batch],
-    error_runs: Collection[str],
-    certain_labels: Collection[str],
-    count: int,
-    number: int,
-    announce: Announce,
-    settings: SearchSettings,
-) -> tuple[Fit, tuple[Trial, ...]]:
-    """Return the model without effects that are not needed and without those that are not supported.
+def select_effects(fit: Fit, task: SelectionTask, count: int, number: int) -> tuple[Fit, tuple[Trial, ...]]:
+    """Return the model without effects that are not needed, of `count` candidates, and without unsupported ones.
 
     What an effect without support had taken from the others may have been all that a further one corrected: needless
     effects are looked for once more where one was removed.
     """
-    fit, needless = prune_effects(fit, batches, count, number, announce, settings)
-    fit, dropped = drop_unsupported_effects(fit, batches, error_runs, certain_labels, number, announce, settings)
+    fit, needless = prune_effects(fit, task, count, number)
+    fit, dropped = drop_unsupported_effects(fit, task, number)
     if not dropped:
         return fit, needless
-    fit, later = prune_effects(fit, batches, count, number, announce, settings)
+    fit, later = prune_effects(fit, task, count, number)
     return fit, (*needless, *dropped, *later)
 
 
 # ---- effects that are not needed -------------------------------------------------------------------------------------
 
 
-def prune_effects(
-    fit: Fit, batches: Sequence[Batch], count: int, number: int, announce: Announce, settings: SearchSettings
-) -> tuple[Fit, tuple[Trial, ...]]:
+def prune_effects(fit: Fit, task: SelectionTask, count: int, number: int) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model without effects, and without motions of effects, that others have made unnecessary.
 
-    Once `announce` says that the time is over, Wald's statistic decides, a few steps take the others to where they then
+    Once the time is over, Wald's statistic decides, a few steps take the others to where they then
     belong, and no place is narrowed: what chance explains is never left in.
 
     A shape of several parameters adapts to the noise, so that these count as well (Davies, Biometrika 64 (1977)
     247: the supremum over parameters that are unidentifiable at the null).
     """
+    batches, settings = task.batches, task.settings
     limits, trials = settings.selection, list[Trial]()
     for effect in sorted(declared_effects(fit.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
-        over = announce(f"need of {effect.label}")
+        over = task.announce(f"need of {effect.label}")
         gain, parameters = effect_wald_statistic(fit, effect)
         fitted = max(parameters, 1) + shape_parameter_count(fit, effect)
         tests = count * frequency_looks(fit, effect, batches, settings)
@@ -221,30 +211,22 @@ def _refit_at_place(
 # ---- effects that are not supported ----------------------------------------------------------------------------------
 
 
-def drop_unsupported_effects(
-    fit: Fit,
-    batches: Sequence[Batch],
-    error_runs: Collection[str],
-    certain_labels: Collection[str],
-    number: int,
-    announce: Announce,
-    settings: SearchSettings,
-) -> tuple[Fit, tuple[Trial, ...]]:
+def drop_unsupported_effects(fit: Fit, task: SelectionTask, number: int) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model without effects whose gain is small beside the chi-square that no effect explains.
 
-    What is unexplained could look like them. Where the weights of `error_runs` carry a model error, an effect must gain
-    more than all of it. Effects with `certain_labels` stay. So do the others, once `announce` says that the time is
-    over: only a refit can tell what is lost without one.
+    What is unexplained could look like them. Where the weights of runs carry a model error, an effect must gain more
+    than all of it. Certain effects stay. So do the others, once the time is over: only a refit can tell what is lost
+    without one.
     """
-    trials: list[Trial] = []
-    share = 1.0 if error_runs else settings.selection.min_effect_share
-    while threshold := share * unexplained_chi2(fit, batches, error_runs, settings.fit):
+    batches, settings, trials = task.batches, task.settings, list[Trial]()
+    share = 1.0 if task.error_runs else settings.selection.min_effect_share
+    while threshold := share * unexplained_chi2(fit, batches, task.error_runs, settings.fit):
         weak = [
             effect
             for effect in declared_effects(fit.geometry)
-            if effect.label not in certain_labels and effect_wald_statistic(fit, effect)[0] < threshold
+            if effect.label not in task.certain_labels and effect_wald_statistic(fit, effect)[0] < threshold
         ]
-        if weak and announce(f"support of {len(weak)} effects"):
+        if weak and task.announce(f"support of {len(weak)} effects"):
             break
         refits = _refit_without_each(fit, weak, batches, fit.chi2 + threshold, settings.fit)
         effect, reduced = min(zip(weak, refits, strict=True), key=lambda item: item[1].chi2, default=(None, fit))
