@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -149,23 +150,26 @@ def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
         replace(transfer, responses=tuple(item for item in transfer.responses if item.rotor_speed == speed))
         for speed in dict.fromkeys(response.rotor_speed for response in transfer.responses)
     ]
+    at_speeds = [response_to_component(part, name) for part in by_speed for name in response_components(part)]
     lacking = {
         channel: [name for name, response in measured.items() if channel not in response.channel_names]
         for channel in transfer.geometry.channel_names
     }
     channels = tuple(channel for channel, loads in lacking.items() if not loads)
-    candidates = [response_to_component(part, name) for part in by_speed for name in response_components(part)]
-    reasons = {channel: f"its response to {', '.join(loads)} was not measured" for channel, loads in lacking.items()}
+
+    def selected(responses: Iterable[FrequencyResponse]) -> tuple[FrequencyResponse, ...]:
+        return tuple(select_response_channels(item, channels) for item in responses)
+
     return TransferSource(
         channels,
-        tuple(select_response_channels(response, channels) for response in measured.values()),
+        selected(measured.values()),
         interpolation,
-        channels_left_out={channel: reason for channel, reason in reasons.items() if lacking[channel]},
-        at_speeds=tuple(
-            select_response_channels(response, channels)
-            for response in candidates
-            if set(channels) <= set(response.channel_names)
-        ),
+        channels_left_out={
+            channel: f"its response to {', '.join(loads)} was not measured"
+            for channel, loads in lacking.items()
+            if loads
+        },
+        at_speeds=selected(item for item in at_speeds if set(channels) <= set(item.channel_names)),
     )
 
 

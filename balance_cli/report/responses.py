@@ -156,23 +156,22 @@ def _bode_blocks(sources: Sources, compared: Sequence[Comparison]) -> Iterator[P
     """
     panels = {(panel.sensor, panel.component): panel for comparison in compared for panel in _panels(comparison)}
     pairs = [pair for pair in PAPER_PAIRS if pair in panels] or _strongest_pairs(panels)
-    if pairs:
-        shown_panels = tuple(panels[pair] for pair in pairs)
-        caption = "Fit of " + join_names([f"{sensor}/{component}" for sensor, component in pairs]) + "."
-        markup = detail_svg(shown_panels, caption)
-        ordered = [*shown_panels, *(panel for pair, panel in panels.items() if pair not in pairs)]
-        by_role = [source.label for role in CHART_ROLES for source in sources.models if source.role is role]
-        lines = np.concatenate([comparison.measured.frequency for comparison in compared])
-        markers = rotor_lines(compared[0].geometry, float(lines.min()), float(lines.max()))
-        yield bode_chart(ordered, by_role, markers, markup)
-        best = reference_model(sources.models) or sources.models[0]
-        others = [source for role in CHART_ROLES for source in sources.models if source.role is role]
-        curves = [(item.label, item.plot_style) for item in (best, *others) if item is best or item.label != best.label]
-        single = {sensor.name for item in compared for sensor in item.shown_sensors if len(sensor.channels) == 1}
-        shown = [panel for panel in panels.values() if panel.sensor in single]
-        picture = nyquist_picture(best, shown, _evaluation(sources, compared), curves)
-        if picture is not None:
-            yield picture
+    if not pairs:
+        return
+    by_role = [source for role in CHART_ROLES for source in sources.models if source.role is role]
+    first = tuple(panels[pair] for pair in pairs)
+    caption = "Fit of " + join_names([f"{sensor}/{component}" for sensor, component in pairs]) + "."
+    ordered = [*first, *(panel for pair, panel in panels.items() if pair not in pairs)]
+    lines = np.concatenate([comparison.measured.frequency for comparison in compared])
+    markers = rotor_lines(compared[0].geometry, float(lines.min()), float(lines.max()))
+    yield bode_chart(ordered, [source.label for source in by_role], markers, detail_svg(first, caption))
+    best = reference_model(sources.models) or sources.models[0]
+    curves = {source.label: source.plot_style for source in (best, *by_role)}
+    single = {sensor.name for item in compared for sensor in item.shown_sensors if len(sensor.channels) == 1}
+    shown = [panel for panel in panels.values() if panel.sensor in single]
+    picture = nyquist_picture(best, shown, _evaluation(sources, compared), list(curves.items()))
+    if picture is not None:
+        yield picture
 
 
 def _evaluation(sources: Sources, compared: Sequence[Comparison]) -> Evaluation:

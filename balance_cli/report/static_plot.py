@@ -24,20 +24,20 @@ LETTER = 5.2
 """Mean width of a letter of the legend [px at a font of 10 px]."""
 
 
-def plot_svg(plot: Plot, width: float = WIDTH, height: float = HEIGHT) -> str:
+def plot_svg(plot: Plot) -> str:
     """Return one plot as an `svg` element with axes, markers, bands, curves and a legend."""
-    box = (LEFT, TOP, width - RIGHT, height - BOTTOM)
+    box = (LEFT, TOP, WIDTH - RIGHT, HEIGHT - BOTTOM)
     x_scale = make_scale([plot.x], box[0], box[2])
     y_scale = make_scale(_visible_values(plot), box[3], box[1], plot.log_y, plot.limits, margin=0.05)
     parts = [
         *_grid(plot, x_scale, y_scale, box),
         *_markers(plot, x_scale, box),
         *(part for trace in plot.traces for part in _trace(trace, plot.x, x_scale, y_scale)),
-        *_legend(plot.traces, width, height),
+        *_legend(plot.traces),
     ]
     label = escape(f"{plot.title}: {plot.y_label} over {plot.x_label}", quote=True)
     return (
-        f'<svg class="plot" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{label}" '
+        f'<svg class="plot" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" aria-label="{label}" '
         f'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" font-size="10">'
         f'<text x="{box[0]:g}" y="12" font-weight="600">{escape(plot.title)}</text>{"".join(parts)}</svg>'
     )
@@ -128,13 +128,13 @@ def _path(points: Sequence[tuple[float, float] | None]) -> str:
     return "".join(words)
 
 
-def _legend(traces: Sequence[Trace], width: float, height: float) -> Iterator[str]:
+def _legend(traces: Sequence[Trace]) -> Iterator[str]:
     if len(traces) < 2:
         return
-    place, y = LEFT, height - 4.0
+    place, y = LEFT, HEIGHT - 4.0
     for trace in traces:
         needed = 18.0 + LETTER * len(trace.label)
-        if place + needed > width:
+        if place + needed > WIDTH:
             return
         yield f'<path stroke="{trace.color}" stroke-width="2" d="M{place:g} {y - 3:g}h12"/>'
         yield f'<text x="{place + 15:.1f}" y="{y:g}" font-size="9">{escape(trace.label)}</text>'

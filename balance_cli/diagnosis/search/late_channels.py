@@ -6,8 +6,8 @@ that a squared response is positive there. A delay turns it by twice its phase, 
     J(tau) = mean of Re (h exp(j w tau))^2,        h = H / |H|
 
 is near one at the delay of the channel, however many periods of the lines it is, and falls off on both sides. A fit
-from no delay ends in the minimum next to it; from here it begins at the right one, in all channels at once. Half of
-the channels on one late box were added one after another before, each beside the false parameters of the rest.
+from no delay ends in the minimum next to it; from here it begins at the right one. All late channels of a box begin
+together: one after another, each would be fitted beside the false parameters of the rest.
 """
 
 from __future__ import annotations
