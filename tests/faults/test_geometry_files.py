@@ -99,6 +99,7 @@ VALUES = {
     "channel of no cell": (("channels", 1, "cell"), "y9", "channels[1].cell"),
     "channel twice": (("channels", 1, "name"), "z1.strain", "channels[1]"),
     "sensitivity 0": (("channels", 0, "sensitivity"), 0.0, "channels[0]"),
+    "sensitivity whose forces overflow": (("channels", 0, "sensitivity"), -1e-300, "channels[0]"),
     "sensitivity with a unit": (("channels", 0, "sensitivity"), "2 mV/N", "channels[0]"),
     "low-pass negative": (("channels", 1, "lowpass"), -1.0, "channels[1].lowpass"),
     "filter of another type": (("acquisition", "filter", "type"), "chebyshev", "acquisition.filter.type"),

@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from balance_cli.campaign.rig.declared_values import MOST_PARTS, Array, FrozenModel, Name, Number, Positive, Vector
+from balance_cli.campaign.rig.declared_values import (
+    MOST_PARTS,
+    SMALLEST_VALUE,
+    Array,
+    FrozenModel,
+    Name,
+    Number,
+    Positive,
+    Vector,
+)
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, parse_unit
 
@@ -65,10 +74,10 @@ class Channel(FrozenModel):
             raise ValueError(
                 "give either `cell: NAME` or one of `cells: {NAME: WEIGHT}`, `torque_meter: true`, `accelerometer`"
             )
-        if self.cells is not None and 0.0 in self.cells.values():
-            raise ValueError("a weight in `cells` is zero")
-        if self.sensitivity == 0.0:
-            raise ValueError("`sensitivity` is zero")
+        if self.cells is not None and min(map(abs, self.cells.values())) <= SMALLEST_VALUE:
+            raise ValueError(f"a weight in `cells` is zero, or below {SMALLEST_VALUE:g}")
+        if abs(self.sensitivity) <= SMALLEST_VALUE:
+            raise ValueError(f"`sensitivity` is zero, or below {SMALLEST_VALUE:g}")
         if self.measures_mechanics and "sensitivity" not in self.model_fields_set:
             raise ValueError("`sensitivity` is missing")
         return self

@@ -16,7 +16,7 @@ MOST_PARTS = 500
 """Bodies, cells or channels; no rig has so many, and the equations of so many are still solved in seconds."""
 
 SMALLEST_VALUE = 1e-15
-"""Of a number that must be positive; the fourth power of its reciprocal is still finite."""
+"""Of a number that must be positive, or divides readings; the fourth power of its reciprocal is still finite."""
 
 
 def _refuse_bool(value: object) -> object:
