@@ -147,7 +147,7 @@ def _left_out_coverage(schedule: Schedule, recorded: Recorded, number: int) -> f
         return float("nan")
     loads = recorded.x[rows] * FULL_RANGE[: recorded.x.shape[1]]
     order = np.argsort(np.any(schedule.x[rows] != 0.0, axis=1), kind="stable")
-    whole = _calibrate(rest, ("left out", recorded.channels[rows][order], loads[order]))
+    whole = _calibrate(rest, HeldOutRun("left out", recorded.channels[rows][order], loads[order]))
     return float("nan") if whole is None else _coverage(whole.checks[0])
 
 

@@ -259,3 +259,8 @@ def data_chi2(batches: Sequence[Batch], system: System) -> float:
         return evaluate_batch(batch, system, solution, shared=shared).total
 
     return float(sum(map_batches(chi2, batches)))
+
+
+def count_measured_values(batches: Sequence[Batch]) -> float:
+    """Number of real measured values."""
+    return float(sum(batch.lines.count.sum() for batch in batches))

@@ -21,9 +21,8 @@ from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.cli import balance
-from balance_cli.diagnosis.search.refit import data_count
 from balance_cli.estimation.identified_model import IdentifiedModel
-from balance_cli.estimation.likelihood import data_chi2
+from balance_cli.estimation.likelihood import count_measured_values, data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.artefacts import load_artefact, make_provenance, save_artefact
@@ -280,7 +279,7 @@ def test_simulate_takes_what_no_response_shows_as_declared(name, tmp_path):
     spectra = measured_spectra([run], geometry)
     lines = stack_runs(spectra.lines, (), geometry.channel_names)
     declared, without = (data_chi2(lines, balance_model(one).system()) for one in (geometry, without_effects(geometry)))
-    assert declared < 1.1 * data_count(lines)
+    assert declared < 1.1 * count_measured_values(lines)
     assert without > declared + 50.0
 
 

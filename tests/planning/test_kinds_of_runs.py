@@ -7,9 +7,8 @@ import pytest
 
 from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run_file import open_run, write_run
-from balance_cli.diagnosis.search.refit import data_count
 from balance_cli.estimation.deadline import Deadline
-from balance_cli.estimation.likelihood import data_chi2
+from balance_cli.estimation.likelihood import count_measured_values, data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
@@ -267,6 +266,6 @@ def test_a_sweep_under_a_mean_load_fits_the_rig_with_its_mean():
         run, _ = simulate_run(true_rig(geometry), sweep.model_copy(update={"steady": steady}), seed=3)
         spectra = measured_spectra([run], geometry, means=True)
         batches = stack_runs(spectra.lines, (), geometry.channel_names)
-        assert data_chi2(batches, model.system()) < 1.2 * data_count(batches)
+        assert data_chi2(batches, model.system()) < 1.2 * count_measured_values(batches)
         covariance = np.diagonal(spectra.lines[0].covariance[-1]).real[: len(geometry.channels)]
         assert np.isinf(covariance).all() == (steady is not None)

@@ -20,7 +20,7 @@ from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
-from balance_cli.estimation.likelihood import Curvature, data_chi2
+from balance_cli.estimation.likelihood import Curvature, count_measured_values, data_chi2
 from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
 from balance_cli.estimation.model_error import (
     ModelErrors,
@@ -122,7 +122,7 @@ def _best_partial_fit(
     ends = [take_steps(start, batches, settings.trial_steps, settings) for start in starts]
     best = min(ends, key=lambda end: end.total.chi2)
     best = take_steps(model.at(best.theta), batches, settings.trial_steps, settings, best.data)
-    return PartialFit(model, best.theta, data_count(batches) * float(np.log(before / best.total.chi2)))
+    return PartialFit(model, best.theta, count_measured_values(batches) * float(np.log(before / best.total.chi2)))
 
 
 def regress(start: Estimate, batches: Sequence[Batch], settings: FitSettings) -> Estimate:
@@ -131,11 +131,6 @@ def regress(start: Estimate, batches: Sequence[Batch], settings: FitSettings) ->
     return model.at(
         start_from_equations_of_motion(model.parameters, batches, model.system, start.theta, settings.deadline)
     )
-
-
-def data_count(batches: Sequence[Batch]) -> float:
-    """Return the number of real values in the lines."""
-    return float(sum(np.sum(batch.lines.count) for batch in batches))
 
 
 def fit_with_candidate(

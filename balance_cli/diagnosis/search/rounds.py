@@ -12,12 +12,13 @@ from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates
 from balance_cli.diagnosis.search.preference import choose_most_linear
-from balance_cli.diagnosis.search.refit import PartialFit, SearchState, data_count, fit_partially, fit_until_stable
+from balance_cli.diagnosis.search.refit import PartialFit, SearchState, fit_partially, fit_until_stable
 from balance_cli.diagnosis.search.score_statistics import Score, has_nuisance_parameters, scores
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.trials import make_trial
 from balance_cli.diagnosis.settings import RoundSettings, SearchSettings
 from balance_cli.estimation.batch import WORKERS
+from balance_cli.estimation.likelihood import count_measured_values
 from balance_cli.estimation.model_error import add_model_error
 
 PartialFits = Sequence[tuple[Score, PartialFit]]
@@ -126,7 +127,7 @@ def _select_for_full_fit(partial_fits: PartialFits, settings: RoundSettings) -> 
 
 def _min_gain(lines: SearchLines, count: int, settings: RoundSettings) -> float:
     """Gain of -2 ln likelihood that is more than chance makes of the best of `count`, and more than slight progress."""
-    progress = -2.0 * data_count(lines.fitted) * np.log1p(-settings.min_progress)
+    progress = -2.0 * count_measured_values(lines.fitted) * np.log1p(-settings.min_progress)
     return float(max(2.0 * np.log(count), progress))
 
 
