@@ -19,6 +19,7 @@ from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
 from balance_cli.calibration.row_errors import errors_without, have_load_errors, outlier_limit, row_sigma
 from balance_cli.calibration.suspect_series import exclude_suspect_series
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
+from balance_cli.calibration.unloading_rows import include_unloading_rows
 from balance_cli.io.units import VOLTAGE
 
 Array = NDArray[np.float64]
@@ -60,6 +61,9 @@ def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) ->
     outlying = excluded
     excluded, fit = _include_predicted_rows(points, included, fit, outlying, choice)
     excluded, fit = _include_load_errors(points, included, fit, excluded, choice)
+    included = replace(included, weight=np.where(outlying & ~excluded, points.weight, included.weight))
+    excluded, fit, lags = include_unloading_rows(points, included, fit, excluded, choice)
+    notes = (*notes, *lags)
     included = replace(included, weight=np.where(outlying & ~excluded, points.weight, included.weight))
     excluded, fit, notes = _include_rows_of_chance(points, included, fit, excluded, choice, notes)
     # Where some were included again, those that remained may have been like them.
