@@ -1,6 +1,7 @@
 """Sweeps in which one force at one point drives several hub loads at once: a hammer, or a stinger beside the hub.
 
-The hub loads are then multiples of one signal, F(t) a, and no response to a single one of them can be told. The record
+The hub loads are then multiples of one signal, F(t) a, and no response to a single one of them can be told: those of a
+force at a point, or of one force cell whose signal was written times the direction and the lever arms. The record
 is analyzed with one load alone, the largest; the others follow from it. Its noise is that of one signal as well. Its
 covariance among the loads would be singular, so that it is counted as noise of the channels, H C H* with the response H
 that the line itself shows, and the loads as exact.
@@ -20,8 +21,9 @@ from balance_cli.signals.run_spectrum import RunSpectrum
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-LARGEST_REMAINDER = 1e-9
-"""Of the loads, relative to their size, that is no multiple of the largest one: rounding of a computed transfer."""
+LARGEST_REMAINDER = 1e-6
+"""Of the loads, relative to their size, that is no multiple of the largest one: rounding of a computed transfer, or of
+samples in four bytes. Force cells of their own have noise of 1e-5 at least."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class _OneLoad:
 
 def single_force(run: Run) -> SingleForce | None:
     """Return the force of a run whose loads are multiples of one another; None where they are not, or there is one."""
-    if not run.has_loads or run.additions is None or run.additions.load_points is None:
+    if not run.has_loads:
         return None
     loads = run.read().loads
     assert loads is not None

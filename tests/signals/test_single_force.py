@@ -75,9 +75,19 @@ def test_multiples_are_those_of_statics():
     arm = POSITION - np.array(other_rig("A").hub)
     expected = np.hstack([DIRECTION, np.cross(arm, DIRECTION)]) / DIRECTION[2]
     np.testing.assert_allclose(force.multiples, expected, atol=1e-9)
-    assert (
-        single_force(force.run) is None and single_force(replace(swept_at_a_point(0.1, True), additions=None)) is None
-    )
+    assert single_force(force.run) is None
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_hub_loads_of_one_force_cell_are_a_single_force(kind):
+    """A shaker at an angle, whose signal was written times its direction and lever arms, as hub loads."""
+    run = swept_at_a_point(0.1, True)
+    block = run.read()
+    written = replace(run, additions=None, source=MemorySource(block.channels, block.loads.astype(kind).astype(float)))
+    force = single_force(written)
+    np.testing.assert_allclose(force.multiples, single_force(run).multiples, rtol=1e-6)
+    independent = block.loads + 1e-3 * np.random.default_rng(1).standard_normal(block.loads.shape)
+    assert single_force(replace(written, source=MemorySource(block.channels, independent))) is None
 
 
 def _chi2_per_value(run: Run) -> float:
