@@ -104,7 +104,7 @@ def apply_warnings(loads: Sequence[PointLoads]) -> Iterator[str]:
 
 
 def _attitude_warning(run: PointLoads) -> Iterator[str]:
-    from balance_cli.steps.point_flags import NO_WEIGHT
+    from balance_cli.reduction.flags import NO_WEIGHT
 
     count = sum(NO_WEIGHT in flags.split("; ") for flags in run.flags)
     if count:

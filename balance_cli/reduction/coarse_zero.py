@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.recording.temperature import mean_temperature
+from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.reduction.mean_loads import ZeroRecord
 
 Array = NDArray[np.float64]
@@ -35,13 +36,17 @@ def coarse_zero(zero: Run, record: Run, channel_names: Sequence[str]) -> ZeroRec
     steps = np.array([converter_step(column) for column in values.T])
     if not level.any() or not np.all(steps > 0) or not np.all(_on_grid((level - values[0]) / steps)):
         return None
-    return ZeroRecord(zero.name, tuple(names), level, steps**2 / 12.0, mean_temperature(zero))
+    return ZeroRecord(
+        zero.name, tuple(names), level, steps**2 / 12.0, mean_temperature(zero), stated_gravity(zero.conditions)
+    )
 
 
 def join_zeros(first: ZeroRecord, second: ZeroRecord) -> ZeroRecord:
     """Return the zero of the channels of both, from one run."""
     mean, variance = (np.concatenate(pair) for pair in ((first.mean, second.mean), (first.variance, second.variance)))
-    return ZeroRecord(first.run, (*first.channel_names, *second.channel_names), mean, variance, first.temperature)
+    return ZeroRecord(
+        first.run, (*first.channel_names, *second.channel_names), mean, variance, first.temperature, first.gravity
+    )
 
 
 def converter_step(values: Array) -> float:

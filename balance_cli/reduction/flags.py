@@ -14,6 +14,8 @@ REDUNDANCY = "redundancy"
 """The redundant channels contradict the load."""
 EXTRAPOLATED = "extrapolated"
 """The mean load lies outside the calibrated range."""
+NO_WEIGHT = "no weight"
+"""The rig has another attitude than at its zero, and the change of weight in the load is not known."""
 NO_TEMPERATURE = "no temperature"
 """The channels depend on temperature, and that of the run or of its zero is not known."""
 NOT_STEADY = "not steady"
@@ -31,6 +33,7 @@ FLAGS = (
     UNTESTED,
     REDUNDANCY,
     EXTRAPOLATED,
+    NO_WEIGHT,
     NO_TEMPERATURE,
     NOT_STEADY,
     UNMODELLED_LINE,
@@ -52,7 +55,7 @@ NAMED_DOUBTS = (NOT_STEADY, EXTRAPOLATED, UNMODELLED_LINE)
 """Flags that a phrase of trust names, the first of them that a row has."""
 TRUST_WORDS = (
     ("contradicted", (REDUNDANCY, FILTER_CONTRADICTED, MODEL_CONTRADICTED)),
-    (DOUBTFUL, (EXTRAPOLATED, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE)),
+    (DOUBTFUL, (EXTRAPOLATED, NO_WEIGHT, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE)),
     ("not measured", (NOT_MEASURED,)),
     ("untested", (UNTESTED,)),
     ("no zero", (NO_ZERO,)),

@@ -17,6 +17,7 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.recording.temperature import mean_temperature
+from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
@@ -38,7 +39,7 @@ ZERO_SEGMENTS = 16
 class ZeroRecord:
     """Reading of the unloaded rig: means (c,) [V] of the named channels and their variance.
 
-    `temperature` [degC]: mean of the record, None where it states none.
+    `temperature` [degC]: mean of the record; `gravity` (3,): its direction in rig axes; None where it states none.
     """
 
     run: str
@@ -46,6 +47,7 @@ class ZeroRecord:
     mean: Array
     variance: Array
     temperature: float | None = None
+    gravity: Array | None = None
 
 
 def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
@@ -53,8 +55,8 @@ def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
     names = tuple(name for name in channel_names if name in run.channel_names)
     values = read_channels(run, names)
     means = np.array([part.mean(axis=0) for part in np.array_split(values, ZERO_SEGMENTS)])
-    temperature = mean_temperature(run)
-    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / ZERO_SEGMENTS, temperature)
+    of_run = mean_temperature(run), stated_gravity(run.conditions)
+    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / ZERO_SEGMENTS, *of_run)
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def linear_mean_loads(
     first = next(iter(calibration.trims.values()))
     sensors = sensors_of_channels(calibration.geometry)
     mean_loads = _loads_by_trim(first, sensors, spectra, health, zero)
-    trim = calibration.nearest_trim(_loads_by_component(mean_loads))
+    trim = calibration.nearest_trim(dict(zip(mean_loads.components, mean_loads.loads.tolist(), strict=True)))
     if trim is not first:
         mean_loads = _loads_by_trim(trim, sensors, spectra, health, zero)
     all_trims = calibration.all_trims
@@ -127,10 +129,6 @@ def flag_extrapolated(loads: MeanLoads, extrapolated_names: Sequence[str]) -> Me
         for name, flag in zip(loads.components, loads.flags, strict=True)
     )
     return replace(loads, flags=tuple(flags))
-
-
-def _loads_by_component(loads: MeanLoads) -> Mapping[str, float]:
-    return dict(zip(loads.components, loads.loads.tolist(), strict=True))
 
 
 def _loads_by_trim(

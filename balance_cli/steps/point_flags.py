@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.math_model import CalibrationModel
-from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
+from balance_cli.reduction.flags import EXTRAPOLATED, NO_WEIGHT, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
 
 Array = NDArray[np.float64]
 
@@ -17,8 +17,6 @@ EXTRAPOLATION_SIGMAS = 2.0
 """Standard deviations of a load by which it must exceed the applied loads: the largest itself is read with noise."""
 MOST_MARGIN = 0.1
 """Of the calibrated range, the same at most: a load of unknown zero is outside, however uncertain it is."""
-NO_WEIGHT = "no weight"
-"""Flag of a row in another attitude than its zero: its loads contain a change of weight that is not known."""
 NOT_CONVERGED = "not converged"
 """Flag of a row whose loads the iteration did not find; its loads are empty."""
 

@@ -11,6 +11,7 @@ from balance_cli.calibration.all_trims_result import AllTrimsCalibration
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run, hold_samples
+from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
@@ -19,6 +20,7 @@ from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response, load_problem
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.load_fluctuation import add_load_fluctuation
+from balance_cli.reduction.mean_attitude import without_change_of_weight
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
@@ -175,8 +177,10 @@ def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord 
         return linear_mean_loads(spectra, calibration, health, reference)
 
     if calibration.temperature is None:
-        return solve(record.spectra, zero)
-    return mean_loads_at_temperature(record, calibration.temperature, zero, solve)
+        loads = solve(record.spectra, zero)
+    else:
+        loads = mean_loads_at_temperature(record, calibration.temperature, zero, solve)
+    return without_change_of_weight(loads, stated_gravity(record.run.conditions), zero, calibration)
 
 
 def _computes_means(all_trims: AllTrimsCalibration, trims: int) -> bool:

@@ -7,6 +7,8 @@ positive roll lifts the +y side. Rig axes follow from those of the level rig by 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,6 +24,13 @@ def gravity_directions(attitude: ArrayLike) -> Array:
     """Unit vectors (m, 3) of gravity in rig axes, R' (0, 0, -1), for pitch and roll (m, 2) [deg]."""
     pitch, roll = np.radians(np.asarray(attitude, float)).T
     return np.column_stack([np.sin(pitch), -np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll)])
+
+
+def stated_gravity(conditions: Mapping[str, float]) -> Array | None:
+    """Direction (3,) of gravity by the attributes `pitch` and `roll` [deg] of a run; None where it has neither."""
+    if not any(name in conditions for name in ANGLES):
+        return None
+    return np.asarray(gravity_directions([[conditions.get(name, 0.0) for name in ANGLES]])[0])
 
 
 def is_one_direction(gravity: Array) -> bool:
