@@ -190,10 +190,10 @@ def solve_rest_state(forces: NonlinearForces, gain: Array, loads: Array) -> Rest
 
 @dataclass(frozen=True)
 class _Stepper:
-    """One step of the linear rig under nonlinear forces: `[z, e] <- [z, f0, f-1, f-2] step + f1 (ahead, reach)`.
+    """One step of the linear rig under nonlinear forces: `[state, e] <- state step + f1 [ahead, reach]`.
 
-    z (2p) are the real and imaginary parts of the modal states, e (m or 2m) the elongations that the forces cause, and
-    their rates.
+    The state is `[z, f0, f-1, f-2]`: z (2p) are the real and imaginary parts of the modal states. e (m or 2m) are the
+    elongations that the forces cause, and their rates. `step` (s, s+m or s+2m), `ahead` (m, s), `reach` (m, m or 2m).
     """
 
     step: Array
@@ -213,7 +213,9 @@ class _Stepper:
         drives = [(weights[:, i, None] * system.inputs).T for i in range(4)]
         real = [np.hstack([drive.real, drive.imag]) for drive in drives]
         states[2 * p :] = np.vstack(real[:3])
-        return cls(np.hstack([states, states @ out]), real[3], real[3] @ out)
+        older = np.eye(2 * p + 3 * m, 3 * m, m - 2 * p)  # each force becomes the one before
+        newest = np.eye(m, 3 * m)
+        return cls(np.hstack([states, older, states @ out]), np.hstack([real[3], newest]), real[3] @ out)
 
 
 def _equilibrium_states(system: ModalSystem, force: Array) -> Array:
@@ -231,8 +233,7 @@ def integrate_nonlinear_forces(
     those under the hub loads alone; `start` is the state of rest (runs, m) from which the records begin.
     """
     stepper = _Stepper.from_system(system, step)
-    width = 2 * len(system.poles)
-    m = len(forces.limit)
+    m, size = stepper.ahead.shape
     correct = _single_corrector if m == 1 and len(start.force) <= MOST_SINGLE_RUNS else _corrector
     next_forces = correct(forces, start, stepper.reach)
     state = np.hstack([_equilibrium_states(system, start.force), start.force, start.force, start.force])
@@ -240,10 +241,8 @@ def integrate_nonlinear_forces(
     result[0] = start.force
     for k in range(1, len(linear)):
         ahead = np.dot(state, stepper.step)
-        result[k] = force = next_forces(ahead[:, width:] + linear[k])
-        state[:, width + m :] = state[:, width:-m]
-        state[:, width : width + m] = force
-        state[:, :width] = ahead[:, :width] + np.dot(force, stepper.ahead)
+        result[k] = force = next_forces(ahead[:, size:] + linear[k])
+        state = ahead[:, :size] + np.dot(force, stepper.ahead)
     return result
 
 
@@ -270,6 +269,7 @@ def _corrector(forces: NonlinearForces, start: RestState, reach: Array) -> Calla
 def _single_corrector(forces: NonlinearForces, start: RestState, reach: Array) -> Callable[[Array], Array]:
     """The same for few runs of one force: numbers take a fraction of the time of arrays that are so small."""
     law, stick, slips = forces.single(), forces.stick_stiffness.item(), bool(np.any(forces.limit))
+    (least, largest), total = law.contact_limits, law.total
     of_elongation, of_rate = [*reach[0].tolist(), 0.0][:2]
     states = np.hstack([start.elongation, start.contact, start.force]).tolist()
 
@@ -280,8 +280,9 @@ def _single_corrector(forces: NonlinearForces, start: RestState, reach: Array) -
             for _ in range(CORRECTOR_ITERATIONS):
                 d = free + force * of_elongation
                 if slips:
-                    held = law.slip(stuck + stick * d)
-                force = law.total(d, rate + force * of_rate, held)
+                    held = stuck + stick * d
+                    held = least if held < least else largest if held > largest else held  # `slip`, without its calls
+                force = total(d, rate + force * of_rate, held)
             state[:] = d, held, force
         return np.array([[force] for _, _, force in states])
 
