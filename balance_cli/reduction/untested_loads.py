@@ -91,18 +91,23 @@ def untested_means(equations: LoadEquations, sensors: Sequence[str], limit: floa
     The `equations` are real, of one set of readings (a,), and `limit` is that of their residual test; sigma (m,). All
     are untested where no sensor is redundant.
     """
-    count = len(set(sensors)) - equations.T.shape[1]
-    if count <= 0:
-        return np.ones(len(sigma), bool)
     one = LoadEquations(
         T=equations.T[None],
         readings=equations.readings[None],
         covariance=equations.covariance[None],
         estimator=equations.estimator[None],
     )
-    test = np.array([float(len(sensors) - equations.T.shape[1])]), np.array([limit])
-    error = readings_of_sensors(sensors) * one.readings[:, None, :]
-    return np.asarray(_untested(one, sensors, noticed_share(one, error, *test), test, sigma[None], np.abs)[0])
+    return np.asarray(untested_points(one, sensors, np.array([limit]), sigma[None])[0])
+
+
+def untested_points(equations: LoadEquations, sensors: Sequence[str], limit: Array, sigma: Array) -> Mask:
+    """Return the same (h, m) for h sets of real readings, with `limit` (h,) and sigma (h, m)."""
+    readings, loads = equations.T.shape[1:]
+    if len(set(sensors)) <= loads:
+        return np.ones(sigma.shape, bool)
+    test = np.full(len(limit), float(readings - loads)), limit
+    error = readings_of_sensors(sensors) * equations.readings[:, None, :]
+    return _untested(equations, sensors, noticed_share(equations, error, *test), test, sigma, np.abs)
 
 
 def _amplitude(loads: Array) -> Array:

@@ -26,34 +26,42 @@ class RowTests:
     """What is known of each row beside its loads.
 
     `misfit` (n,): its redundant channels contradict; `unknown_weight` (n,): it has another attitude than its zero.
-    `no_zero`: the zero is that of the calibration; `untested`: nothing tests the rows. `untested_names` (n): components
-    that rest on products of loads that the calibration could not tell.
+    `no_zero`: the zero is that of the calibration; `untested` (n, k): loads that no redundant sensor tests.
+    `untested_names` (n): components that rest on products of loads that the calibration could not tell.
     """
 
     misfit: NDArray[np.bool_]
     unknown_weight: NDArray[np.bool_]
     no_zero: bool
-    untested: bool
+    untested: NDArray[np.bool_]
     untested_names: Sequence[tuple[str, ...]]
 
 
 def point_flags(model: CalibrationModel, loads: Array, covariance: Array, tests: RowTests) -> tuple[str, ...]:
     """Flags (n,) of loads (n, k) with covariance (n, k, k)."""
     flags = []
+    words_of_untested = [_untested_words(model.components, row) for row in tests.untested]
     rows = zip(loads, covariance, tests.misfit, tests.unknown_weight, tests.untested_names, strict=True)
-    for row, S, misfits, unknown, names in rows:
+    for (row, S, misfits, unknown, names), untested in zip(rows, words_of_untested, strict=True):
         extrapolated = {*_extrapolated(model, row, S), *names} if np.isfinite(row).all() else set()
         outside = [name for name in model.components if name in extrapolated]
         words = (
             NO_ZERO if tests.no_zero else "",
             NO_WEIGHT if unknown else "",
-            UNTESTED if tests.untested else "",
+            untested,
             REDUNDANCY if misfits else "",
             f"{EXTRAPOLATED} {' '.join(outside)}" if outside else "",
             "" if np.isfinite(row).all() else NOT_CONVERGED,
         )
         flags.append(SEPARATOR.join(word for word in words if word))
     return tuple(flags)
+
+
+def _untested_words(components: Sequence[str], untested: NDArray[np.bool_]) -> str:
+    """Return the flag of the untested loads (k,) of a row: of all of them without names."""
+    if untested.all():
+        return UNTESTED
+    return " ".join([UNTESTED, *np.array(components)[untested]]) if untested.any() else ""
 
 
 def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> tuple[str, ...]:

@@ -13,23 +13,19 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.math_model import (
-    CalibrationModel,
-    zero_scatter,
-)
+from balance_cli.calibration.math_model import CalibrationModel, zero_scatter
 from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.trim_model import model_of_trim
-from balance_cli.calibration.untested_products import (
-    UntestedProducts,
-    untested_components,
-)
+from balance_cli.calibration.untested_products import UntestedProducts, untested_components
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import redundancy_chi2, redundancy_limit
+from balance_cli.reduction.untested_loads import sensors_of_channels, untested_points
+from balance_cli.reduction.weighted_least_squares import LoadEquations
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.distributions import CONFIDENCE, student_widening
 from balance_cli.steps.point_attitude import rows_of_unknown_weight, weight_covariance, weight_of_metric_part
@@ -104,7 +100,7 @@ def point_loads(
     noise = _reading_covariances(readings, model, subtracted)
     covariance = _load_covariances(model, direct, change, safe, noise)
     covariance, untested_names = _add_untested_products(model, safe, covariance)
-    redundancy, limit = _redundancy(model, change, safe, noise)
+    redundancy, limit, untested = _residual_test(model, change, safe, noise, covariance)
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     if direct is None:
         covariance *= _widening(model) * model.model.weight_widening(model.rows)
@@ -116,7 +112,7 @@ def point_loads(
         misfit=redundancy > limit,
         unknown_weight=rows_of_unknown_weight(readings, calibration, zero),
         no_zero=subtracted.words == CALIBRATION_ZERO,
-        untested=len(model.rows) <= len(model.model.components) or not np.isfinite(model.noise).all(),
+        untested=untested,
         untested_names=untested_names,
     )
     return PointLoads(
@@ -269,16 +265,32 @@ def _add_untested_products(
     return total, tuple(untested_components(names, np.diag(wide), np.diag(tested)) for wide, tested in pairs)
 
 
-def _redundancy(usable: _Model, change: Array, loads: Array, noise: Array) -> tuple[Array, Array]:
-    """Chi-square per degree of freedom (n,) of the redundant channels of each row, and its 99.9 % point (n,)."""
+def _residual_test(
+    usable: _Model, change: Array, loads: Array, noise: Array, load_covariance: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Chi-square per degree of freedom (n,) of the redundant channels of each row, and its 99.9 % point (n,).
+
+    Third, the loads (n, k) that no redundant sensor tests.
+    """
     model, rows = usable.model, usable.rows
     degrees, chi2 = len(rows) - len(model.components), np.full(len(loads), np.nan)
+    untested = np.ones(loads.shape, bool)
     if degrees <= 0:
-        return chi2, np.full(len(loads), np.inf)
+        return chi2, np.full(len(loads), np.inf), untested
+    limit, sources = np.full(len(loads), redundancy_limit(degrees)), sensors_of_channels(usable.calibration.geometry)
+    sensors = [sources.get(model.channel_names[row], "") for row in rows]
+    sigma = np.sqrt(np.diagonal(load_covariance, axis1=1, axis2=2)) / model.calibrated_range
     for part in _blocks(len(loads)):
         covariance = noise[part] + model.model_covariance(loads[part], rows)
         if usable.untested is not None:
             covariance = covariance + usable.untested.reading_covariance(loads[part], rows)
         residual = change[part] - model.readings(loads[part])[:, rows]
-        chi2[part] = redundancy_chi2(residual, model.jacobian(loads[part], rows), covariance)
-    return chi2 / degrees, np.full(len(loads), redundancy_limit(degrees))
+        J = model.jacobian(loads[part], rows)
+        chi2[part] = redundancy_chi2(residual, J, covariance)
+        if np.isfinite(covariance).all():
+            W = np.linalg.inv(covariance)
+            JW = J.swapaxes(1, 2) @ W
+            estimator = np.asarray(np.linalg.solve(JW @ J, JW), np.float64)
+            equations = LoadEquations(J, change[part], covariance, estimator)
+            untested[part] = untested_points(equations, sensors, limit[part], sigma[part])
+    return chi2 / degrees, limit, untested

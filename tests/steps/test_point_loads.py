@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.cli import balance
-from balance_cli.steps.point_readings import _part_tares_between
+from balance_cli.steps.point_loads import point_loads
+from balance_cli.steps.point_readings import _part_tares_between, point_readings, table_of_run
 
 FULL = np.array([500.0, 2000.0, 150.0])
 NAMES = ("Fx", "Fz", "My")
@@ -215,3 +216,12 @@ def test_an_unloaded_row_between_two_series_may_belong_to_either():
     series = np.array([0, 0, 0, 0, 1, 1, 1])
     unloaded = np.array([True, False, False, True, False, False, False])
     assert _part_tares_between(series, unloaded).tolist() == [0, 0, 0, 2, 1, 1, 1]
+
+
+def test_a_load_that_rests_on_one_sensor_is_untested(campaign, calibration) -> None:
+    """The torque meter beside the plate alone tells Mz, and one cell Fx, of which the mean of My contains a part."""
+    table = table_of_run(campaign.runs_of_kind("static")[0], campaign.geometry)
+    loads = point_loads(point_readings(table, calibration, first_is_zero=False), calibration)
+    untested = [word.split()[1:] for flag in loads.flags for word in flag.split("; ") if word.startswith("untested")]
+    assert len(untested) == len(loads.flags)
+    assert all({"Fx", "Mz"} <= set(names) <= {"Fx", "My", "Mz"} for names in untested)
