@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
+from balance_cli.diagnosis.consistency.findings import COPIED_RECORD, ConsistencyFinding
 from balance_cli.diagnosis.consistency.severity import ConsequenceRule, findings_for_command
 from balance_cli.io.errors import UserError
 from balance_cli.signals.nyquist_noise import UsualNoise
@@ -52,6 +52,8 @@ def contradiction_error(finding: ConsistencyFinding, paths: Mapping[str, str]) -
 
 def finding_place(finding: ConsistencyFinding) -> str:
     """Return the part of a run file, or the key of a geometry, that a finding is about."""
+    if finding.kind == COPIED_RECORD:
+        return "samples"
     if finding.components:
         return "loads"
     return "channels" if finding.channels else "geometry"

@@ -211,6 +211,17 @@ def test_load_points_that_were_entered_twice_count_once_and_are_named(twice):
     assert bridge_gaps(replace(whole, source=MemorySource(*zeros))).samples == 40
 
 
+def test_a_load_series_under_two_labels_counts_once():
+    whole = replace(static_run(), attitude=None)
+    block = whole.read()
+    again = np.r_[np.arange(40), np.arange(10, 20)]
+    labels = tuple(np.repeat(["1", "2", "3", "4", "5"], 10).tolist())
+    source = MemorySource(block.channels[again], block.loads[again])
+    run = bridge_gaps(replace(whole, samples=50, series_labels=labels, point_kinds=None, source=source))
+    assert run.samples == 40 and run.copied_rows == tuple(range(40, 50))
+    assert bridge_gaps(replace(whole, series_labels=labels[:40], point_kinds=None)).samples == 40
+
+
 def test_a_load_point_without_its_load_is_left_out_and_one_load_that_is_often_missing_is_a_fault():
     whole = static_run()
     block = whole.read()

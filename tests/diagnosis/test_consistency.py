@@ -56,6 +56,13 @@ def softened(content: dict[str, list[dict[str, float]]]) -> None:
         cell["stiffness"] *= 1e-3
 
 
+@pytest.mark.parametrize("name", ["static-bare", "sweep-Fz"])
+def test_a_record_under_two_names_is_a_fault(name: str) -> None:
+    run = next(run for run in campaign() if run.name == name)
+    (finding,) = campaign_findings(rotor_balance(), (*campaign(), replace(run, name="copy", trim="other")))
+    assert finding.is_fault and finding.runs == ("copy",) and f"those of {name} in every digit" in finding.sentence
+
+
 def test_a_clean_campaign_has_no_finding() -> None:
     assert campaign_findings(rotor_balance(), campaign()) == ()
 

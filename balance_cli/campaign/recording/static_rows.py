@@ -50,13 +50,14 @@ def leave_out_rows(run: Run) -> Run:
     """Return a static run without unread and copied rows, which it lists in `bridged` and `copied_rows`.
 
     A row is unread where a load, or one of the channels that miss few rows, is not finite. It is copied where it
-    repeats the row before it, or the second half of the rows the first half, in every digit.
+    repeats the row before it, or its load series one with another label, or the second half of the rows the first half,
+    in every digit.
     """
     block = run.read()
     names = (*run.channel_names, *(COMPONENTS if block.loads is not None else ()))
     values = block.channels if block.loads is None else np.hstack([block.channels, block.loads])
     unread = _unread_rows(values, len(run.channel_names))
-    copied = _copied_rows(values, len(run.channel_names))
+    copied = _copied_rows(values, len(run.channel_names)) | _copied_series(values, run.series_labels)
     dropped = unread.any(axis=1) | copied
     if not dropped.any():
         return run
@@ -103,6 +104,18 @@ def _copied_rows(values: Array, channels: int) -> NDArray[np.bool_]:
     loaded = np.any(values[:, channels:] != 0.0, axis=1) & np.any(values[:, :channels] != 0.0, axis=1)
     if not np.any(copied & loaded) or _agrees_by_resolution(values[:, :channels], values[:, channels:]):
         return np.zeros(rows, bool)
+    return copied
+
+
+def _copied_series(values: Array, labels: tuple[str, ...] | None) -> NDArray[np.bool_]:
+    """Return which rows (n,) of channels and loads are of a load series that repeats an earlier one in every digit."""
+    copied, seen = np.zeros(len(values), bool), set[bytes]()
+    for label in dict.fromkeys(labels or ()):
+        rows = np.array([other == label for other in labels or ()])
+        series = values[rows]
+        if np.count_nonzero(np.any(series != series[0], axis=1)) >= FEWEST_COPIED_ROWS:
+            copied |= rows & (series.tobytes() in seen)
+            seen.add(series.tobytes())
     return copied
 
 

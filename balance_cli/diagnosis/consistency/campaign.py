@@ -14,6 +14,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.diagnosis.consistency.anti_alias import filter_findings
+from balance_cli.diagnosis.consistency.copied_records import copied_record_findings
 from balance_cli.diagnosis.consistency.delays import common_delay
 from balance_cli.diagnosis.consistency.descriptions import describe_mistakes
 from balance_cli.diagnosis.consistency.evidence import Evidence, gather_evidence, rig_size
@@ -65,8 +66,9 @@ def campaign_findings(
     runs = tuple(runs)
     arm = moment_reference_length(geometry.hub)
     tares = [_loaded_tare(run, text) for run in runs if (text := describe_loaded_tares(run, arm))]
+    copies = copied_record_findings(runs)
     if missing_mechanics(geometry):
-        return (*tares, *static_unit_findings(geometry, runs))
+        return (*copies, *tares, *static_unit_findings(geometry, runs))
     rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
     findings = findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
     beside = {run.name: names for run in runs if (names := points_beside_shaft(run, geometry))}
@@ -74,7 +76,7 @@ def campaign_findings(
     if not any(item.kind in (LOAD_FACTOR, CHANNELS_FACTOR) for item in findings):
         # Forces and moments in units of their own, lbf and in lbf, are several mistakes, none of which explains a run.
         findings = (*findings, *static_unit_findings(geometry, runs))
-    return (*findings, *tares, *noise_findings(runs, geometry.channel_names, stored_noise))
+    return (*copies, *findings, *tares, *noise_findings(runs, geometry.channel_names, stored_noise))
 
 
 def _with_shaft_hint(finding: ConsistencyFinding, beside: Mapping[str, tuple[str, ...]]) -> ConsistencyFinding:

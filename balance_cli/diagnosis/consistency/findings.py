@@ -28,6 +28,7 @@ STATIC_RESPONSE = "static response"
 NOISE_LEVEL = "noise level"
 LOADED_TARE = "loaded tare"
 DELAY = "delay"
+COPIED_RECORD = "copied record"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -49,6 +50,7 @@ KINDS = (
     NOISE_LEVEL,
     LOADED_TARE,
     DELAY,
+    COPIED_RECORD,
 )
 
 
