@@ -16,7 +16,13 @@ from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change
 from balance_cli.signals.rotor.common_change import CommonChange, changes_of_columns, common_change
-from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, sigma_if_steady, unsteady, windowed_amplitudes
+from balance_cli.signals.rotor.steadiness import (
+    WindowedAmplitudes,
+    largest_change,
+    sigma_if_steady,
+    unsteady,
+    windowed_amplitudes,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -53,10 +59,14 @@ START_UP_SHARE = 0.03
 
 @dataclass(frozen=True)
 class Steadiness:
-    """Which loads (n+1, m) of a record step or drift within it, and `note`, why where all do; empty without."""
+    """Which loads (n+1, m) of a record step or drift within it, and `note`, why where all do; empty without.
+
+    `mean_change` (m,) is by how much the mean loads do so, if one does by more than chance; it may be immaterial.
+    """
 
     unsteady: NDArray[np.bool_]
     note: str = ""
+    mean_change: Array | None = None
 
 
 def examine_steadiness(
@@ -98,9 +108,11 @@ def examine_steadiness(
         # A step makes the noise of a mean red, and its sigma large.
         sigma = np.vstack([np.minimum(sigma[0], sigma_if_steady(loads[:, 0])), sigma[1:]])
     is_unsteady = unsteady(loads, _least_change(sigma, loads), correlation)
+    # What steps in one load, as of a channel whose zero steps, does so in others, less clearly.
+    mean_change = largest_change(loads[:, 0]) * unsteady(loads[:, 0], sigma[0], correlation[0]).any()
     is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
     note = _change_of_all(within, windows, start, lambda window: first + window * duration, record, geometry)
-    return Steadiness(np.ones_like(is_unsteady), note) if note else Steadiness(is_unsteady)
+    return Steadiness(is_unsteady | bool(note), note, mean_change)
 
 
 def _change_of_all(
@@ -224,7 +236,9 @@ def _mean_loads(windows: WindowedAmplitudes, static: TrimCalibration) -> Complex
     """Return the mean loads (w, m) of each window through the static matrix, from the channels that are there."""
     rows = [i for i, name in enumerate(static.channel_names) if name in windows.names]
     columns = [windows.names.index(static.channel_names[i]) for i in rows]
-    inverse = np.linalg.pinv(static.C0[rows] * static.calibrated_range) * static.calibrated_range[:, None]
+    inverse = static.T0
+    if len(rows) < len(static.channel_names):
+        inverse = np.linalg.pinv(static.C0[rows] * static.calibrated_range) * static.calibrated_range[:, None]
     change = windows.values[:, 0, columns] - static.mean_channels[rows]
     return np.asarray(static.mean_load + change @ inverse.T)
 

@@ -56,7 +56,7 @@ class Trust:
     rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
     `regressed` is the highest harmonic of the regression, `steadiness_note` says why all loads are unsteady;
     `wrong_channels` is the mistake in the channels that explains what they contradict, with the `evidence` for it;
-    `suspect_note` names channels without which they contradict nothing.
+    `suspect_note` names channels without which they contradict nothing; `mean_change` (m,) is that of `Steadiness`.
     """
 
     untested: Mask
@@ -72,6 +72,7 @@ class Trust:
     wrong_channels: str = ""
     evidence: str = PASSES_TEST
     suspect_note: str = ""
+    mean_change: Array | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -162,6 +163,7 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
         wrong_channels=", or ".join(mistakes or by_turbulence),
         evidence=EVIDENCE if by_turbulence else PASSES_TEST,
         suspect_note=suspect,
+        mean_change=content.steadiness.mean_change,
     )
 
 

@@ -111,12 +111,24 @@ def reduce_record(
     source_note = source.note if isinstance(source, ResponseWithoutModel) else ""
     further = filter(None, [mean_solution.note, source_note])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
-    loads = replace(loads, wrong_channels=trust.wrong_channels or None)
+    loads = replace(_with_mean_change(loads, trust.mean_change), wrong_channels=trust.wrong_channels or None)
     if static is not None:
         loads = _flag_implausible(loads, static)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     return _with_check_errors(loads, record, harmonic_solution, geometry, source, response)
+
+
+def _with_mean_change(loads: RunLoads, change: Array | None) -> RunLoads:
+    """Return the loads with half of the change (m,) of the means within the record in their sigma.
+
+    Nobody knows whether what is sought is the load before or after: where a channel stepped, one of them is right.
+    """
+    if change is None or not change.any():
+        return loads
+    sigma = loads.sigma_cosine.copy()
+    sigma[0] = np.hypot(sigma[0], 0.5 * change)
+    return replace(loads, sigma_cosine=sigma)
 
 
 def _unnoticed_errors(

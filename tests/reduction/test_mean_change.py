@@ -1,0 +1,43 @@
+"""A zero of one channel that steps within a record: what it changes of the mean loads is in their sigma."""
+
+import numpy as np
+import pytest
+
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.reduction.flags import NO_ZERO
+from balance_cli.reduction.model_sources import model_source
+from balance_cli.simulation import draw_rig, simulate_campaign
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.identify import IdentifyOptions, identify
+from balance_cli.steps.reduce import reduce_run
+from tests.support.channels import with_channel
+from tests.support.other_rigs import other_rig, short_campaign
+
+
+@pytest.fixture(scope="module")
+def small():
+    """The small rig of twelve cells: calibration, computed response, a wind run and its mean loads."""
+    geometry, plan = other_rig("E"), short_campaign("E", revolutions=200)
+    runs = tuple(run for run in plan.runs if run.run in ("static-bare", "static-trim", "wind-1"))
+    simulated = simulate_campaign(
+        draw_rig(geometry, np.random.default_rng(3)), plan.model_copy(update={"runs": runs}), seed=3
+    )
+    calibration = calibrate(simulated.runs[:2], geometry)
+    return calibration, simulated.runs[2], simulated.truths[2].cosine[0]
+
+
+@pytest.mark.parametrize("channel", ["v1.strain", "t6.strain"])
+@pytest.mark.parametrize("place", [0.3, 0.5])
+def test_a_zero_that_steps_is_in_sigma_of_all_mean_loads(small, channel, place):
+    calibration, wind, means = small
+    geometry = calibration.geometry
+    source = model_source(identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed")))
+    step = 0.003 * 0.04 * 2000.0
+
+    def stepped(volts):
+        return volts + step * (np.arange(len(volts)) > place * len(volts))
+
+    loads = reduce_run(with_channel(wind, channel, stepped), geometry, calibration, source)
+    said = np.array([flag not in ("", NO_ZERO) for flag in loads.flags[0]])
+    error = np.abs(loads.amplitude[0].real - means) / loads.sigma_cosine[0]
+    assert np.all(said | (error < 3.0))
