@@ -36,6 +36,7 @@ def read(tmp_path: Path, text: str, reading: TableReading | None = None, **keys)
         "Effort Fx (lbf),Moment My (in-lbf),B1 (mV/V),B2 (mV/V)",
         "applied_Fx [lbf],My_load [in-lbf],B1 (mV/V),B2 (mV/V)",
         "known_Fx [lbf],Known_My [in-lbf],B1 (mV/V),B2 (mV/V)",
+        "LOAD_FX_lbf,applied_my_in-lbf,B_1_mV/V,B_2 in mV/V",
     ],
 )
 def test_units_are_converted(tmp_path: Path, head: str) -> None:
@@ -43,6 +44,25 @@ def test_units_are_converted(tmp_path: Path, head: str) -> None:
     assert table.hub_loads[1] == pytest.approx([44.482216, 0, 0, 0, -11.298483, 0])
     assert table.channels == pytest.approx(np.array([[5e-4, 2.5e-4], [1.5e-3, -2.5e-4]]))
     assert table.unused == ()
+
+
+def test_weights_on_lever_arms_are_hub_loads(tmp_path: Path) -> None:
+    """A rope pulls in two axes, a weight hangs on an arm, beside a load at the hub."""
+    points = {
+        "arm": {"position": [0.3, 0.0, 0.1], "direction": [0, 0, -2]},
+        "rope": {"position": [0.0, 0.2, 0.5], "direction": [0.6, 0.0, 0.8]},
+        "mark": {"position": [0.0, 0.0, 0.0]},
+    }
+    text = "Fx [N],My [N m],arm [kgf],Rope / N,mark [N],B1 [mV/V],B2 [mV/V]\n0,0,0,0,0,1,1\n5,0,2,10,7,2,1\n"
+    table = read(tmp_path, text, load_points=points, hub=[0.0, 0.0, 0.1])
+    weight = 2 * 9.80665
+    # r x F about the hub: (0.3, 0, 0) x (0, 0, -w) = (0, 0.3 w, 0), (0, 0.2, 0.4) x (6, 0, 8) = (1.6, 2.4, -1.2).
+    assert table.hub_loads[1] == pytest.approx([11.0, 0.0, 8.0 - weight, 1.6, 0.3 * weight + 2.4, -1.2])
+    assert table.unused == ("mark [N]",)
+    alone = read(tmp_path, "arm [N],B1 [mV/V]\n0,1\n10,2\n", load_points=points, hub=[0.0, 0.0, 0.1])
+    assert alone.hub_loads[1] == pytest.approx([0.0, 0.0, -10.0, 0.0, 3.0, 0.0])
+    with pytest.raises(UserError, match="kg"):
+        read(tmp_path, "arm [kg],B1 [mV/V]\n0,1\n10,2\n", load_points=points)
 
 
 def test_default_units_and_labels(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """Point tables (CSV) of a static calibration or of loads to be computed, as static runs.
 
-Columns are found by their names: components of the geometry (or hub loads), its channels, and optionally `series`,
-`point` (kind of point), `run`, `trim`, `excitation`, `temperature`, `pitch` and `roll`. Units stand in the head
-(`Fx [N]`, `Fx (lbf)`, `Fx / N`) or in a row below it.
+Columns are found by their names: components of the geometry (or hub loads), its load points and channels, and
+optionally `series`, `point` (kind of point), `run`, `trim`, `excitation`, `temperature`, `pitch` and `roll`. Units
+stand in the head (`Fx [N]`, `Fx (lbf)`, `Fx / N`) or in a row below it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from balance_cli.campaign.recording.load_table_columns import (
     unused_columns,
 )
 from balance_cli.campaign.recording.load_table_conditions import attitude_notes, attitude_of_rows, temperature_of_rows
+from balance_cli.campaign.recording.load_table_points import add_forces_at_points, load_points_of_tables
 from balance_cli.campaign.recording.point_labels import POINT_KINDS
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.recording.temperature import temperature_addition
@@ -147,7 +148,7 @@ class _TableReader:
     def __init__(self, table: TextTable, geometry: Geometry, reading: TableReading) -> None:
         self.table, self.geometry, self.reading = table, geometry, reading
         self.components = load_components(geometry)
-        loads = (*self.components.names, *COMPONENTS)
+        loads = (*self.components.names, *COMPONENTS, *load_points_of_tables(geometry))
         columns = identify_loads_and_readings(table, loads, geometry.channel_names)
         self.columns = by_name(table, (column for column in columns if column and not column.is_reading))
         self.readings = by_name(table, (column for column in columns if column and column.is_reading))
@@ -167,7 +168,7 @@ class _TableReader:
             lines=tuple(line for line, _ in self.table.rows),
             channel_names=names,
             channels=np.column_stack([self._channel(name) for name in names]),
-            hub_loads=self._hub_loads(load_units) if load_units else None,
+            hub_loads=self._all_loads(load_units),
             labels=dict(self._labels()),
             load_units=load_units,
             unused=self.unused,
@@ -201,6 +202,10 @@ class _TableReader:
         for name in expected:
             if name in self.columns:
                 yield name, self._unit(self.columns[name], units[name])
+
+    def _all_loads(self, load_units: Mapping[str, Unit]) -> Array | None:
+        loads, allow = self._hub_loads(load_units) if load_units else None, self.reading.allow_missing
+        return add_forces_at_points(loads, self.table, self.columns, self._unit, self.geometry, allow)
 
     def _hub_loads(self, load_units: Mapping[str, Unit]) -> Array:
         allow = self.reading.allow_missing

@@ -152,9 +152,10 @@ def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
     if unit is not None:
         yield name, unit
     for sign in (" / ", "/", ",", " in ", "_", " "):
-        name, separator, unit = head.partition(sign)
-        if separator and is_unit(unit):
-            yield name.strip(), unit.strip()
+        # The name may have such a sign itself (`X_strain_V`), and so may the unit (`Fx N m`).
+        for name, separator, unit in dict.fromkeys((head.partition(sign), head.rpartition(sign))):
+            if separator and is_unit(unit):
+                yield name.strip(), unit.strip()
 
 
 def _names_a_quantity(unit: str) -> bool:
