@@ -213,7 +213,7 @@ class _Stepper:
         drives = [(weights[:, i, None] * system.inputs).T for i in range(4)]
         real = [np.hstack([drive.real, drive.imag]) for drive in drives]
         states[2 * p :] = np.vstack(real[:3])
-        older = np.eye(2 * p + 3 * m, 3 * m, m - 2 * p)  # each force becomes the one before
+        older = np.vstack([np.zeros((2 * p, 3 * m)), np.eye(3 * m, k=m)])  # each force becomes the one before
         newest = np.eye(m, 3 * m)
         return cls(np.hstack([states, older, states @ out]), np.hstack([real[3], newest]), real[3] @ out)
 
