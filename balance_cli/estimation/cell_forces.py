@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.batch import MAX_DERIVATIVE_BYTES, Batch
 from balance_cli.estimation.force_histories import force_histories
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.mechanics.cell_force import CellForce
@@ -60,9 +60,8 @@ class RunCellForces:
 
     def add_derivatives(self, system: System, total: ComplexArray) -> None:
         """Add the derivatives of the volts to `total` (k, c, p), in place."""
-        loads = np.zeros((len(self.index), 6), complex)
         if self.inputs is not None:
-            total += self._at_lines(output_jacobian(system, self.solution, self.index, loads, self.inputs))
+            self._add_derivatives_at_given_forces(system, self.inputs, total)
         acting, read = volts_of_forces(system, self.solution)
         volts_per_force: dict[tuple[int, bool], ComplexArray] = {}  # a score test has many forces along each spring
         for force in self.derivatives:
@@ -72,6 +71,14 @@ class RunCellForces:
                 volts_per_force[place] = volts[self.index]
             for i, column in enumerate(force.columns):
                 total[:, :, column] += self._at_lines(volts_per_force[place] * force.derivative[:, i, None])
+
+    def _add_derivatives_at_given_forces(self, system: System, inputs: SpringInputs, total: ComplexArray) -> None:
+        # A record has many more bins than lines where a few of its lines are scored by many parameters.
+        def at_bins(bins: Index) -> ComplexArray:
+            loads = np.zeros((len(bins), 6), complex)
+            return output_jacobian(system, self.solution, self.index[bins], loads, inputs.select(bins))
+
+        self.waveform.add_bins(total, at_bins, max(MAX_DERIVATIVE_BYTES // total[:1].nbytes, 1))
 
     def _at_lines(self, values: ComplexArray) -> ComplexArray:
         return self.waveform.combine_bins(values)

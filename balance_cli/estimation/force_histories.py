@@ -64,7 +64,7 @@ def _histories(
     for spring in dict.fromkeys(force.spring for force in system.equations.forces):
         forces = [force for force in system.equations.forces if force.spring == spring]
         present = [force for force in forces if force.values.value[0] != 0.0]
-        columns = _influencing_parameters(system, spring, present) if derivatives else np.zeros(0, np.intp)
+        columns = _influencing_parameters(system, unmixed, spring, present) if derivatives else np.zeros(0, np.intp)
         d = _elongation(waveform, system, unmixed, spring, present, columns)
         motion = _motion(waveform, d, any(force.needs_rate for force in forces))
         at_null = replace(motion, elongation=constant(d.value, 0), rate=constant(motion.rate.value, 0))
@@ -90,21 +90,20 @@ def _select_parameters(dual: Dual, columns: Index) -> Dual:
     return Dual(dual.value, dual.derivative[columns])
 
 
-def _influencing_parameters(system: System, spring: int, forces: Sequence[CellForce]) -> Index:
+def _influencing_parameters(system: System, unmixed: _UnmixedVolts, spring: int, forces: Sequence[CellForce]) -> Index:
     """The parameters that influence the forces along one spring; none where there are no forces."""
     if not forces:
         return np.zeros(0, np.intp)
-    p = system.parameters
-    duals = [force.values for force in forces] + [
-        system.equations.stiffness[spring],
-        system.equations.loss[spring],
-        system.equations.frequency_stiffness[spring],
-    ]
-    duals += [system.equations.mixing, system.equations.channel_offset]
-    for path in system.equations.paths:
-        if path.spring == spring:
-            duals += path.dual_numbers
-    return np.flatnonzero(np.any([np.any(dual.derivative.reshape(p, -1), axis=1) for dual in duals], axis=0))
+    p, equations = system.parameters, system.equations
+    duals = [force.values for force in forces]
+    duals += [equations.stiffness[spring], equations.loss[spring], equations.frequency_stiffness[spring]]
+    own = [i for i, path in enumerate(equations.paths) if path.spring == spring]
+    duals += [dual for i in own for dual in equations.paths[i].dual_numbers]
+    # Crosstalk between channels of other springs is most of the parameters of a score test.
+    unmixing = unmixed.inverse[own]
+    derivatives = [dual.derivative for dual in duals]
+    derivatives += [unmixing @ equations.mixing.derivative, equations.channel_offset.derivative @ unmixing.T]
+    return np.flatnonzero(np.any([np.any(each.reshape(p, -1), axis=1) for each in derivatives], axis=0))
 
 
 # ---- elongation ------------------------------------------------------------------------------------------------------

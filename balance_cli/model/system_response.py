@@ -42,6 +42,10 @@ class SpringInputs:
     acting: ComplexArray
     read: ComplexArray
 
+    def select(self, lines: Index) -> SpringInputs:
+        """The forces at some of the lines."""
+        return SpringInputs(self.acting[lines], self.read[lines])
+
 
 def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
     """Invert the dynamic stiffness once; responses and derivatives follow from it."""

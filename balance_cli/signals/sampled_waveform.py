@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling
+from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling, add_bins_as_lines
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 # The cube of a signal has three times its bandwidth. The force of a slipping contact has more: at four times the rate
 # its turns and kinks left a residual of up to three times the noise beside a mode, at 16 times and beyond hardly any.
@@ -176,6 +178,10 @@ class SampledWaveform:
         """The values (R, ...) themselves: the bins are the lines."""
         return values
 
+    def add_bins(self, total: ComplexArray, values: Callable[[Index], ComplexArray], at_once: int) -> None:
+        """Add the values (r, ...) themselves to `total` (R, ...): the bins are the lines."""
+        add_bins_as_lines(total, values, at_once)
+
     def noise_spread(self, values: ComplexArray) -> float:
         """One: each line is a bin of its own."""
         return 1.0
@@ -225,6 +231,17 @@ class RecordWaveform(SampledWaveform):
         """Values (R, ...) at the bins as lines (K, ...)."""
         rows = self._sums_of_bins
         return np.asarray(rows @ values.reshape(len(values), -1)).reshape(rows.shape[0], *values.shape[1:])
+
+    def add_bins(self, total: ComplexArray, values: Callable[[Index], ComplexArray], at_once: int) -> None:
+        """Add to `total` (K, ...) the lines of `values` (r, ...) at the bins that enter any, so many at once."""
+        used = np.unique(self._sums_of_bins.indices).astype(np.intp)
+        for start in range(0, len(used), at_once):
+            bins = used[start : start + at_once]
+            columns = self._sums_of_bins[:, bins]
+            lines = np.flatnonzero(np.diff(columns.indptr))  # neighbors alone
+            at_bins = values(bins)
+            at_lines = np.asarray(columns[lines] @ at_bins.reshape(len(bins), -1))
+            total[lines] += at_lines.reshape(len(lines), *at_bins.shape[1:])
 
     def noise_spread(self, values: ComplexArray) -> float:
         """More than one where lines share bins: the transient of a window is subtracted from all of its lines."""

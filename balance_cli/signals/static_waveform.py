@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling
+from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling, add_bins_as_lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +109,7 @@ class StaticWaveform:
     def combine_bins(self, values: ComplexArray) -> ComplexArray:
         """The values (K, ...) themselves: the bins are the lines."""
         return values
+
+    def add_bins(self, total: ComplexArray, values: Callable[[Index], ComplexArray], at_once: int) -> None:
+        """Add the values (r, ...) themselves to `total` (K, ...): the bins are the lines."""
+        add_bins_as_lines(total, values, at_once)

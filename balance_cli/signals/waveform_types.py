@@ -7,6 +7,7 @@ of a periodic record) and `StaticWaveform` (load points) have lines that are the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,20 @@ class Waveform(Protocol):
         """Values (R, ...) at the bins as lines (K, ...)."""
         ...
 
+    def add_bins(self, total: ComplexArray, values: Callable[[Index], ComplexArray], at_once: int) -> None:
+        """Add to `total` (K, ...), in place, the lines of `values` (r, ...) at r bins, so many at once.
+
+        Bins that enter no line are not asked for.
+        """
+        ...
+
     def noise_spread(self, values: ComplexArray) -> float:
         """Variance of an inner product of lines with values (K,), both over their noise: one if the lines are apart."""
         ...
+
+
+def add_bins_as_lines(total: ComplexArray, values: Callable[[Index], ComplexArray], at_once: int) -> None:
+    """Add to `total` (K, ...), in place, `values` (r, ...) at r lines, so many at once; for bins that are the lines."""
+    for start in range(0, len(total), at_once):
+        lines = np.arange(start, min(start + at_once, len(total)))
+        total[lines] += values(lines)

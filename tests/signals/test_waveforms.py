@@ -89,3 +89,26 @@ def one_over_f(rng, shape):
     z = noise(rng, len(frequency), shape[1]) / np.sqrt(frequency)[:, None]
     x = np.fft.irfft(z, shape[0], axis=0)
     return x / x.std()
+
+
+@pytest.mark.parametrize("excitation", ["stepped", "multisine"])
+def test_lines_of_some_bins_at_a_time_are_those_of_all(excitation):
+    """Of a few lines of a record only the bins that enter them are asked for, and no more than so many at once."""
+    geometry, rng = rotor_balance(), np.random.default_rng(4)
+    plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(60.0,), excitation=excitation, period=1.0, periods=4)
+    run = simulate_run(true_rig(geometry), plan, Noise(), 6)[0]
+    waveform = measured_spectra([run], geometry, means=True).lines[0].waveform
+    lines = len(waveform.combine_bins(np.zeros(len(waveform.bin_frequency()), complex)))
+    few = waveform.select(np.arange(lines) < 12)
+    values = noise(rng, len(few.bin_frequency()), 6).reshape(-1, 2, 3)
+    asked = []
+
+    def at_bins(bins):
+        asked.append(bins)
+        return values[bins]
+
+    total = np.ones_like(few.combine_bins(values))
+    few.add_bins(total, at_bins, 5)
+    np.testing.assert_allclose(total, 1.0 + few.combine_bins(values), rtol=1e-12)
+    assert max(map(len, asked)) == 5
+    assert len(np.unique(np.concatenate(asked))) == sum(map(len, asked)) < 0.5 * len(waveform.bin_frequency())
