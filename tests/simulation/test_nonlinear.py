@@ -1,10 +1,14 @@
 """Nonlinear cells in the simulation against scipy's general integrator, and by hand at rest."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.io.errors import UserError
 from balance_cli.simulation import (
     NO_NOISE,
@@ -20,6 +24,7 @@ from balance_cli.simulation.extensions.library import extension
 from balance_cli.simulation.rig import apply_effects
 from tests.support.simulation_rig import GEOMETRY, rig_geometry
 
+ONE_DOF = Path(__file__).parents[2] / "configs" / "one-dof.yaml"
 Z1 = 3
 OPEN = rig_geometry(acquisition={})
 PLAN = RotorPlan(
@@ -73,6 +78,33 @@ def test_polynomial_springs_against_general_integrator(name, key, value, power, 
     volts = run.read().channels
     assert np.max(np.abs(volts[:, 1] - expected)) < 1e-5 * np.max(np.abs(expected))
     assert np.max(np.abs(volts[:, 3] - 0.002 * 3e6 * dx)) < 1e-5 * np.max(np.abs(0.002 * 3e6 * dx))
+
+
+def test_a_hardening_spring_of_a_rig_with_a_single_mode_against_general_integrator():
+    """m x'' + d x' + k x + k3 x^3 = F: with one mode each of its states would show in the newest force."""
+    k3 = 2e11
+    rig = true_rig(load_geometry(ONE_DOF)).with_extensions(extension("cubic-stiffness", ("z",), k3=k3, side="beside"))
+    plan = RotorPlan(run="c", rotor_speed=6.0, duration=1.0, harmonics={"Fz": (60.0, 30.0, 40.0)})
+    run, truth = simulate_run(rig, plan, NO_NOISE)
+    m = equations_of_motion(rig)
+    (mass,), (damping,), (stiffness,) = (matrix.ravel() for matrix in (m.mass, m.damping, m.total_stiffness()))
+    row = float(m.cell_rows[0, 0])
+
+    def load(t):
+        angle = 2 * np.pi * 6.0 * t * np.arange(truth.cosine.shape[0])
+        return float(m.loads[0] @ (np.cos(angle) @ truth.cosine + np.sin(angle) @ truth.sine))
+
+    def rates(t, x):
+        return [x[1], (load(t) - damping * x[1] - stiffness * x[0] - row * k3 * (row * x[0]) ** 3) / mass]
+
+    rest = brentq(lambda q: stiffness * q + row * k3 * (row * q) ** 3 - load(0.0), -1e-2, 1e-2, xtol=1e-18)
+    solution = solve_ivp(
+        rates, (0, truth.time[-1]), [rest, 0.0], "DOP853", truth.time, rtol=1e-10, atol=1e-14, max_step=1e-3
+    )
+    d = row * solution.y[0]
+    assert np.max(k3 * np.abs(d) ** 3) > 0.03 * np.max(4.0e5 * np.abs(d))
+    expected = 0.01 * 4.0e5 * d
+    assert np.max(np.abs(run.read().channels[:, 0] - expected)) < 1e-5 * np.max(np.abs(expected))
 
 
 def test_slipping_contact_against_general_integrator():
