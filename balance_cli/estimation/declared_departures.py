@@ -18,8 +18,9 @@ from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 
-FAMILYWISE_P_VALUE = 0.01
-"""Probability that any parameter of a model that is as declared is listed: the level of a verdict of `diagnose`."""
+FAMILYWISE_P_VALUE = 0.002
+"""Probability that any parameter of a model that is as declared is listed: a fifth of the 1 % of false alarms that a
+verdict of `diagnose` may have, as it rests on other tests, too."""
 INFORMED_SHARE = 0.05
 """Share of the declared variance that the data must remove before a shift is tested: below it rounding decides."""
 
