@@ -18,6 +18,7 @@ from balance_cli.diagnosis.search.late_channels import late_channels
 from balance_cli.diagnosis.search.refit import SearchState
 from balance_cli.diagnosis.search.search import SearchResult, search
 from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
+from balance_cli.diagnosis.search.set_ups import set_up_candidates
 from balance_cli.diagnosis.search.spin_candidates import spin_candidates
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
@@ -97,7 +98,8 @@ def update_model(
         *spin_candidates(spectra.lines, start.geometry, settings),
     )
     find_late = partial(late_channels, spectra.lines, start.geometry, settings)
-    search_result = search(start, lines, announce, initial_sets, find_late, settings)
+    of_set_ups = set_up_candidates(spectra.lines, start.geometry, settings)
+    search_result = search(start, lines, announce, initial_sets, find_late, of_set_ups, settings)
     certain_labels = effect_labels(start) | {trial.label for trial in search_result.trials if trial.round == 0}
     task = _UpdateTask(start, batches, lines, given_labels, certain_labels, announce, settings)
     update = _test_on_all_lines(task, search_result)

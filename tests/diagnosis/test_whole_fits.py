@@ -128,7 +128,7 @@ def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypa
         return RoundResult(None) if len(rounds) == 1 else search_round(*arguments)
 
     monkeypatch.setattr(search_module, "search_round", in_vain_at_first)
-    result = search_module.search(state, lines, lambda text: False, (), tuple, SETTINGS)
+    result = search_module.search(state, lines, lambda text: False, (), tuple, (), SETTINGS)
     accepted = [trial.label.split("@")[0] for trial in result.trials if trial.decision == "accepted"]
     assert accepted == ["support-flexibility", "added-mass"]
     assert result.state.error < 3 * NOISE

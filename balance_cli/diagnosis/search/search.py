@@ -16,6 +16,7 @@ from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fi
 from balance_cli.diagnosis.search.restarts import restart_one_by_one
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.search.set_ups import add_set_ups_by_whole_fit
 from balance_cli.diagnosis.search.whole_fits import add_all_by_whole_fit, add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.io.percent import percent_text
@@ -46,12 +47,13 @@ def search(
     announce: Announce,
     initial_sets: Sequence[InitialCandidates],
     find_late: Callable[[], Sequence[Candidate]],
+    of_set_ups: Sequence[Candidate],
     settings: SearchSettings,
 ) -> SearchResult:
     """Add effects one by one until none helps; where the error stays large, fit everything again from the regression.
 
     The effects that the data demand without a model come first, those of late channels together, which are looked for
-    where much is missing. `announce` returns whether the time is over.
+    where much is missing. `of_set_ups`: what every set-up may have. `announce` returns whether the time is over.
     """
     result = SearchResult(fit_until_stable(start, lines, settings.fit))
     if result.state.error > settings.rounds.stuck_error:
@@ -70,6 +72,11 @@ def search(
         result = result.add(added.state or result.state, added.trials, added.alternatives)
     base = result.state
     result = _add_effects(result, 1, lines, announce, settings)
+    last = max((trial.round for trial in result.trials), default=0)
+    with_set_ups, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, last + 1, settings)
+    result = result.add(with_set_ups or result.state, trials, gains)
+    if with_set_ups is not None:
+        base, result = with_set_ups, _add_effects(result, last + 2, lines, announce, settings)
     if result.state.error <= settings.rounds.stuck_error or announce("whole fits of a further body"):
         return result
     last = max((trial.round for trial in result.trials), default=0)

@@ -39,15 +39,15 @@ def add_all_by_whole_fit(
     """
     if len(together) < 2 or state.error <= settings.rounds.stuck_error:
         return state, (), {}
-    end = _whole_fit(state, together, lines, settings)
-    accepted = _describes_more(end, state, settings)
+    end = whole_fit(state, together, lines, settings)
+    accepted = describes_more(end, state, settings)
     gain = state.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(state.theta))
-    trials = tuple(_trial(item.label, gain, accepted, 1) for item in together)
+    trials = tuple(whole_fit_trial(item.label, gain, accepted, 1) for item in together)
     return (end, trials, {item.label: {item.label: gain} for item in together}) if accepted else (state, trials, {})
 
 
-def _describes_more(end: SearchState, current: SearchState, settings: SearchSettings) -> bool:
-    """Whether a whole fit has a clearly smaller error than the current state, on the validation lines, too."""
+def describes_more(end: SearchState, current: SearchState, settings: SearchSettings) -> bool:
+    """Return whether a whole fit has a clearly smaller error than the current state, on the validation lines, too."""
     is_smaller = end.error < settings.rounds.slow_progress * current.error
     return is_smaller and end.validation_criterion < current.validation_criterion
 
@@ -90,7 +90,7 @@ def _best_whole_fit(
     for item in pool:
         if settings.fit.is_over:
             break
-        end = _whole_fit(base, [item], lines, settings)
+        end = whole_fit(base, [item], lines, settings)
         if item.label not in ends or end.fit_criterion < ends[item.label].fit_criterion:
             ends[item.label] = end
     gains = {
@@ -98,8 +98,8 @@ def _best_whole_fit(
         for label, end in ends.items()
     }
     best = max(gains, key=lambda label: gains[label], default=None)
-    accepted = best if best is not None and _describes_more(ends[best], current, settings) else None
-    trials = tuple(_trial(label, gain, label == accepted, number) for label, gain in gains.items())
+    accepted = best if best is not None and describes_more(ends[best], current, settings) else None
+    trials = tuple(whole_fit_trial(label, gain, label == accepted, number) for label, gain in gains.items())
     if accepted is None:
         return None, trials, {}
     return ends[accepted], trials, {accepted: gains}
@@ -134,17 +134,18 @@ def _widest_group(geometry: Geometry) -> str:
     return max(groups, key=lambda name: len(groups[name]), default=geometry.channel_names[0])
 
 
-def _whole_fit(
+def whole_fit(
     state: SearchState, added: Sequence[Candidate], lines: SearchLines, settings: SearchSettings
 ) -> SearchState:
-    """The fit from a regression that begins at the declared values, as those of the state fit without the effects."""
+    """Return the fit from a regression that begins at the declared values: those of the state fit without the added."""
     geometry = add_candidates(state.geometry, [(item, 0) for item in added], at_start_values=True)
     model = extend_model(state, geometry).model
     declared = model.at()
     return fit_until_stable(regress(declared, lines.fitted, settings.fit), lines, settings.fit)
 
 
-def _trial(label: str, gain: float, accepted: bool, number: int) -> Trial:
+def whole_fit_trial(label: str, gain: float, accepted: bool, number: int) -> Trial:
+    """Return the trial of one effect in a whole fit of round `number`."""
     return Trial(
         round=number,
         label=label,

@@ -18,6 +18,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import inertia_by_motion
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, each_component_and_motion, unit_components
+from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -52,4 +53,5 @@ EFFECT = Effect(
     places=each_component_and_motion,
     parameters=_parameters,
     apply=_apply,
+    search=SearchHints(in_every_set_up=True),
 )

@@ -108,6 +108,8 @@ class SearchHints:
     - `tone`: the effect is a tone, whose frequency is searched over the lobes of the spectrum.
     - `on_request`: the search tries it only where a user asks for it.
     - `alike_in_all`: the effect that looks the same where this one acts on all channels.
+    - `in_every_set_up`: each set-up of the exciters may have it, with a value of its own, so that all places are tried
+      at once. The first name of a place is the component excited, the last one what it acts on.
     """
 
     places: Callable[[Geometry], tuple[Where, ...]] | None = None
@@ -124,3 +126,4 @@ class SearchHints:
     tone: ToneParameters | None = None
     alike_in_all: CommonAlternative | None = None
     on_request: bool = False
+    in_every_set_up: bool = False
