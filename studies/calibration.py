@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.all_trims_result import CheckLoads
-from balance_cli.calibration.check_loads import CheckModels, evaluate_check_loads
+from balance_cli.calibration.check_loads import CheckModels, HeldOutRun, evaluate_check_loads
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
@@ -116,7 +116,7 @@ def calibration_chunk(seed: int) -> pd.DataFrame:
     rng = np.random.default_rng([seed, 1991])
     balance = draw_balance(rng)
     points, run = simulate_calibration(balance, rng)
-    whole = calibrate_all_trims(points, [run])
+    whole = calibrate_all_trims(points, [HeldOutRun(*run)])
     (check,) = whole.checks
     floor = _check_true_model(balance, whole.model, run)
     true = [balance.curved(c) for c in range(len(CHANNELS))]

@@ -99,3 +99,9 @@ def other_flags(flags):
         "; ".join(word for word in flag.split("; ") if word != "untested" or not alone)
         for flag, alone in zip(flags, on_one_sensor, strict=True)
     )
+
+
+def other_flags_of_rows(flags):
+    """The flags of rows of a table without those of loads that rest on one sensor, as `other_flags` of means."""
+    on_one_sensor = ("untested Fx Mz", "untested Fx My Mz")
+    return ["; ".join(word for word in flag.split("; ") if word not in on_one_sensor) for flag in flags]
