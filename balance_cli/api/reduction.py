@@ -33,6 +33,7 @@ from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.steps.reduction_inputs import (
     default_harmonics,
     harmonics_within_band,
+    loaded_zero_warning,
     loads_with_filter_tests,
     require_same_geometry,
     zero_reference,
@@ -90,8 +91,7 @@ def reduce(
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")
-    reference = None if calibration is None else zero_reference(zeros, calibration, min(used, key=lambda run: run.name))
-    fewer = ""
+    (reference, loaded), fewer = (None, "") if calibration is None else _zero(zeros, calibration, used), ""
     if harmonics is None:
         harmonics, fewer = _harmonics(used, geometry, source, rotor)
     if method != "harmonic" and rotor != 1:
@@ -102,8 +102,16 @@ def reduce(
     flagged = flag_contradicted_runs({run.run: run for run in loads}, findings)
     reduced, compared = compare_loads(flagged, calibration)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
-    warnings = sorted({*earlier, *filter(None, [fewer]), *compared, *_warnings(findings, records, loads, source)})
+    said = (*earlier, *filter(None, [fewer, loaded]), *compared)
+    warnings = sorted({*said, *_warnings(findings, records, loads, source)})
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
+
+
+def _zero(zeros: Sequence[Run], calibration: Calibration, used: Sequence[Run]) -> tuple[ZeroRecord | None, str]:
+    """Return the zero of the mean loads, and a warning where that which was given is none."""
+    shown = min(used, key=lambda run: (run.kind != "wind", run.name))
+    reference = zero_reference(zeros, calibration, shown)
+    return reference, loaded_zero_warning(zeros, shown) if reference is None else ""
 
 
 def _reduce_run(

@@ -106,12 +106,15 @@ def read_zero(
 ) -> ZeroRecord | None:
     """Return the wind-off record: the one given, or the one among `zeros`; none without a calibration.
 
-    A check or wind `record` shows the steps of the converter.
+    A check or wind `record` shows the steps of the converter, and whether the zero was made under load.
     """
-    from balance_cli.steps.reduction_inputs import zero_reference
+    from balance_cli.steps.reduction_inputs import loaded_zero_warning, zero_reference
 
     if calibration is None:
         return None
     if path is not None:
         zeros = tuple(session.runs([path], calibration.geometry, role="zero"))
-    return zero_reference(zeros, calibration, record)
+    reference = zero_reference(zeros, calibration, record)
+    if zeros and reference is None:
+        session.warn(loaded_zero_warning(zeros, record))
+    return reference

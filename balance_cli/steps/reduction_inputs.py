@@ -17,6 +17,7 @@ from balance_cli.campaign.rig.geometry_file import geometry_digest
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.coarse_zero import coarse_zero, join_zeros
+from balance_cli.reduction.loaded_zero import describe_loaded_zero
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
 from balance_cli.reduction.measured_response import highest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
@@ -87,10 +88,11 @@ def require_same_geometry(geometry: Geometry, calibration: Calibration, file: st
 
 
 def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run | None = None) -> ZeroRecord | None:
-    """Return the wind-off record that mean loads count from, None without one.
+    """Return the wind-off record that mean loads count from, None without one or where it was made under load.
 
-    Where too few channels move in it, a check or wind `record` shows whether it is the converter that is coarse. Raises
-    UserError for several runs, for a run of another kind, and where too few channels of means can be used.
+    A check or wind `record` shows whether it was (`loaded_zero_warning` says so) and, where too few channels move in
+    it, whether it is the converter that is coarse. Raises UserError for several runs, for a run of another kind, and
+    where too few channels of means can be used.
     """
     if len(zeros) > 1:
         names = ", ".join(run.name for run in zeros)
@@ -100,6 +102,8 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
     run, place = zeros[0], zeros[0].file
     if run.kind != "zero":
         raise UserError(f"is a {run.kind} run", place, "attribute `kind`", "Give a wind-off record of kind `zero`")
+    if loaded_zero_warning(zeros, record):
+        return None
     health = live_channels(run, calibration.geometry)
     dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
     live = [name for name in dc_channels if name in health.live]
@@ -117,6 +121,15 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
         remedy = "Leave the run out: mean loads then count from the zero of the calibration"
         raise UserError(fault, place, "channels", remedy)
     return zero_record(run, live)
+
+
+def loaded_zero_warning(zeros: Sequence[Run], record: Run | None) -> str:
+    """Return that the zero run was made under load, as a wind or check `record` shows; empty where it does not."""
+    loaded = describe_loaded_zero(zeros[0], record) if zeros and record is not None else ""
+    if not loaded:
+        return ""
+    run = zeros[0]
+    return f"{run.file or run.name} is no wind-off record and is not used: {loaded}; mean loads have no zero"
 
 
 def loads_with_filter_tests(time_reduction: TimeReduction, options: TimeOptions) -> RunLoads:

@@ -126,8 +126,10 @@ class BatchReduction:
         records = tuple(open_matching_run(path, reduction.geometry) for path in zeros)
         self.zero_digests = tuple(run.digest for run in records)
         rotating = [path for path, survey in self.surveys.items() if survey.kind in ROTOR_KINDS]
-        first = open_matching_run(min(rotating, key=lambda path: self.surveys[path].name), reduction.geometry)
-        record = read_zero(self.session, reduction.calibration, zero, records, first)
+        # A wind run shows best whether the zero was made under load.
+        first = min(rotating, key=lambda path: (self.surveys[path].kind != "wind", self.surveys[path].name))
+        shown = open_matching_run(first, reduction.geometry)
+        record = read_zero(self.session, reduction.calibration, zero, records, shown)
         comparable = any(survey.kind not in ("wind", "zero") for survey in self.surveys.values())
         compares = comparable and not missing_mechanics(reduction.geometry)
         return replace(reduction, zero=record, compare_runs=compares)

@@ -20,7 +20,12 @@ from balance_cli.io.formats import RUN_FORMAT
 from balance_cli.io.sniff import sniff_format
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
-from balance_cli.steps.reduction_inputs import default_harmonics, harmonics_within_band, zero_reference
+from balance_cli.steps.reduction_inputs import (
+    default_harmonics,
+    harmonics_within_band,
+    loaded_zero_warning,
+    zero_reference,
+)
 
 ROTOR_KINDS = ("check", "wind")
 
@@ -39,7 +44,7 @@ class QuickLook:
 
     `harmonics`: None for the default of each run. `has_own_zero`: the zero record was given, so those in the folder are
     not used. `files` {run: file} tells two files with one run name. `run_inputs` {run: digest}. `is_changed`: the loads
-    changed since they were written, for the caller to reset.
+    changed since they were written, for the caller to reset. `zero`: the wind-off record of the folder.
     """
 
     session: Session
@@ -51,6 +56,7 @@ class QuickLook:
     warnings: list[str] = field(default_factory=list)
     run_inputs: dict[str, Input] = field(default_factory=dict)
     is_changed: bool = False
+    zero: Run | None = None
 
     def restore(self, artefact: Artefact, files: Mapping[str, Path]) -> None:
         """Take over the loads of an earlier call, of the runs in `files`."""
@@ -89,7 +95,7 @@ class QuickLook:
         """Let the mean loads of the following runs count from this wind-off record, unless one was given."""
         calibration = self.reduction.calibration
         if calibration is not None and not self.has_own_zero:
-            self.reduction = replace(self.reduction, zero=zero_reference([run], calibration))
+            self.reduction, self.zero = replace(self.reduction, zero=zero_reference([run], calibration)), run
 
     def hub_loads(self, names: Iterable[str] | None = None) -> HubLoads:
         """Return the loads of these runs, or of all."""
@@ -138,11 +144,15 @@ class QuickLook:
         raise NoRotorLoadsError(f"a {run.kind} run contains no rotor loads", run.name, run.kind)
 
     def _reduction_of(self, run: Run) -> Reduction:
-        """Return the reduction with the harmonics that this run permits."""
+        """Return the reduction with the harmonics that this run permits, without a zero that it shows to be loaded."""
+        reduction = self.reduction
+        if self.zero is not None and (loaded := loaded_zero_warning([self.zero], run)):
+            self.session.warn(loaded)
+            reduction = replace(reduction, zero=None)
         if self.harmonics is not None:
-            return self.reduction
+            return reduction
         wanted = default_harmonics(self.reduction.geometry)
         harmonics = harmonics_within_band(run, self.reduction.source, wanted)
         if harmonics < wanted:
             self.session.warn(f"{run.name}: {harmonics} harmonics in place of {wanted}: its band ends there")
-        return replace(self.reduction, method=replace(self.reduction.method, harmonics=harmonics))
+        return replace(reduction, method=replace(reduction.method, harmonics=harmonics))
