@@ -11,6 +11,7 @@ from balance_cli.diagnosis.search import search as search_module
 from balance_cli.diagnosis.search.refit import fit_until_stable, take_steps
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.search.trials import refit_trial
 from balance_cli.diagnosis.search.whole_fits import add_by_whole_fit
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measurements import stack_runs
@@ -121,15 +122,16 @@ def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypa
     lines = lines_of(RIG.model_copy(update={"effects": effects}))
     state = fitted_state(lines)
     assert SETTINGS.rounds.stuck_error < state.error < SETTINGS.rounds.gross_error
-    rounds = []
+    rounds, taken = [], refit_trial(1, "parallel-dashpot@z1", 10.0, "accepted", "gain")
 
     def in_vain_at_first(*arguments):
         rounds.append(arguments[2])
-        return RoundResult(None) if len(rounds) == 1 else search_round(*arguments)
+        return RoundResult(None, (taken,)) if len(rounds) == 1 else search_round(*arguments)
 
     monkeypatch.setattr(search_module, "search_round", in_vain_at_first)
     result = search_module.search(state, lines, lambda text: False, (), tuple, (), SETTINGS)
     accepted = [trial.label.split("@")[0] for trial in result.trials if trial.decision == "accepted"]
     assert accepted == ["support-flexibility", "added-mass"]
     assert result.state.error < 3 * NOISE
-    assert rounds[:2] == [1, 2] and result.trials[0].round == 1
+    assert rounds[:2] == [1, 3] and [trial.round for trial in result.trials[:2]] == [1, 2]
+    assert result.trials[0].decision == "removed" and "describes more" in result.trials[0].reason

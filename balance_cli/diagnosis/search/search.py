@@ -25,6 +25,8 @@ from balance_cli.model.placed_effects import declared_effects
 
 Announce = Callable[[str], bool]
 
+SUPERSEDED = "a fit of other effects from the beginning describes more"
+
 
 @dataclass(frozen=True)
 class SearchResult:
@@ -39,6 +41,14 @@ class SearchResult:
     ) -> SearchResult:
         """Return the result after a further step."""
         return SearchResult(state, (*self.trials, *trials), {**self.alternatives, **alternatives})
+
+    def supersede(self, first: int) -> SearchResult:
+        """Return the result with what was accepted from a trial (index) on as removed: a whole fit takes its place."""
+        trials = (
+            replace(trial, decision="removed", reason=SUPERSEDED) if trial.decision == "accepted" else trial
+            for trial in self.trials[first:]
+        )
+        return replace(self, trials=(*self.trials[:first], *trials))
 
 
 def search(
@@ -55,6 +65,36 @@ def search(
     The effects that the data demand without a model come first, those of late channels together, which are looked for
     where much is missing. `of_set_ups`: what every set-up may have. `announce` returns whether the time is over.
     """
+    result = _add_before_rounds(start, lines, initial_sets, find_late, settings)
+    base, first = result.state, len(result.trials)
+    result = _add_effects(result, 1, lines, announce, settings)
+    last = max((trial.round for trial in result.trials), default=0)
+    with_set_ups, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, last + 1, settings)
+    if with_set_ups is None:
+        result = result.add(result.state, trials, gains)
+    else:
+        result = result.supersede(first).add(with_set_ups, trials, gains)
+        base, first = with_set_ups, len(result.trials)
+        result = _add_effects(result, last + 2, lines, announce, settings)
+    if result.state.error <= settings.rounds.stuck_error or announce("whole fits of a further body"):
+        return result
+    last = max((trial.round for trial in result.trials), default=0)
+    # A body far from its null, in whose place the rounds took what is not there.
+    with_body, trials, gains = add_body_by_whole_fit(base, result.state, lines, last + 1, settings)
+    if with_body is None:
+        return result.add(result.state, trials, gains)
+    result = result.supersede(first).add(with_body, trials, gains)
+    return _add_effects(result, last + 2, lines, announce, settings)
+
+
+def _add_before_rounds(
+    start: Estimate,
+    lines: SearchLines,
+    initial_sets: Sequence[InitialCandidates],
+    find_late: Callable[[], Sequence[Candidate]],
+    settings: SearchSettings,
+) -> SearchResult:
+    """What the data demand without a model, then the common effects and those that the user names."""
     result = SearchResult(fit_until_stable(start, lines, settings.fit))
     if result.state.error > settings.rounds.stuck_error:
         result = result.add(*add_all_by_whole_fit(result.state, find_late(), lines, settings))
@@ -70,20 +110,7 @@ def search(
         pool = () if settings.fit.is_over else suspected_candidates(word, result.state.geometry)
         added = search_round(result.state, lines, 1, pool, settings) if pool else RoundResult(None)
         result = result.add(added.state or result.state, added.trials, added.alternatives)
-    base = result.state
-    result = _add_effects(result, 1, lines, announce, settings)
-    last = max((trial.round for trial in result.trials), default=0)
-    with_set_ups, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, last + 1, settings)
-    result = result.add(with_set_ups or result.state, trials, gains)
-    if with_set_ups is not None:
-        base, result = with_set_ups, _add_effects(result, last + 2, lines, announce, settings)
-    if result.state.error <= settings.rounds.stuck_error or announce("whole fits of a further body"):
-        return result
-    last = max((trial.round for trial in result.trials), default=0)
-    # A body far from its null, in whose place the rounds took what is not there.
-    with_body, trials, gains = add_body_by_whole_fit(base, result.state, lines, last + 1, settings)
-    result = result.add(with_body or result.state, trials, gains)
-    return result if with_body is None else _add_effects(result, last + 2, lines, announce, settings)
+    return result
 
 
 def _add_effects(
