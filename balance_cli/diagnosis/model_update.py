@@ -20,6 +20,7 @@ from balance_cli.diagnosis.search.search import SearchResult, search
 from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
 from balance_cli.diagnosis.search.set_ups import set_up_candidates
 from balance_cli.diagnosis.search.spin_candidates import spin_candidates
+from balance_cli.diagnosis.search.trials import last_round
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
@@ -275,11 +276,6 @@ def _confirm_alternatives(confirmation: ConfirmedFit, settings: SearchSettings) 
 def effect_labels(estimate: Estimate) -> set[str]:
     """Return the labels of the effects of a model."""
     return {effect.label for effect in declared_effects(estimate.geometry)}
-
-
-def last_round(trials: Sequence[Trial]) -> int:
-    """Return the number of the last round; 0 where there was none."""
-    return max((trial.round for trial in trials), default=0)
 
 
 def model_quality(estimate: Estimate, batches: Sequence[Batch], information: Array | None = None) -> FitQuality:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, last_round
-from balance_cli.diagnosis.search.trials import refit_trial
+from balance_cli.diagnosis.model_update import UpdateResult, effect_labels
+from balance_cli.diagnosis.search.trials import last_round, refit_trial
 from balance_cli.diagnosis.selection.confirm import score_again
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import SearchSettings

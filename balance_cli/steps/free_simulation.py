@@ -18,7 +18,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.hold_out_settings import FreeSimulationSettings
 from balance_cli.diagnosis.result import Diagnosis, Trial
-from balance_cli.diagnosis.search.trials import refit_trial
+from balance_cli.diagnosis.search.trials import last_round, refit_trial
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
@@ -178,5 +178,5 @@ def _test_runs(task: SimulationTask, settings: FreeSimulationSettings) -> list[R
 
 
 def _rejection(label: str, diagnosis: Diagnosis) -> Trial:
-    number = max((trial.round for trial in diagnosis.trials), default=0) + 1
+    number = last_round(diagnosis.trials) + 1
     return refit_trial(number, label, float("nan"), "removed", REASON)

@@ -17,6 +17,7 @@ from balance_cli.diagnosis.search.restarts import restart_one_by_one
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.set_ups import add_set_ups_by_whole_fit
+from balance_cli.diagnosis.search.trials import last_round
 from balance_cli.diagnosis.search.whole_fits import add_all_by_whole_fit, add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.io.percent import percent_text
@@ -68,7 +69,7 @@ def search(
     result = _add_before_rounds(start, lines, initial_sets, find_late, settings)
     base, first = result.state, len(result.trials)
     result = _add_effects(result, 1, lines, announce, settings)
-    last = max((trial.round for trial in result.trials), default=0)
+    last = last_round(result.trials)
     with_set_ups, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, last + 1, settings)
     if with_set_ups is None:
         result = result.add(result.state, trials, gains)
@@ -78,7 +79,7 @@ def search(
         result = _add_effects(result, last + 2, lines, announce, settings)
     if result.state.error <= settings.rounds.stuck_error or announce("whole fits of a further body"):
         return result
-    last = max((trial.round for trial in result.trials), default=0)
+    last = last_round(result.trials)
     # A body far from its null, in whose place the rounds took what is not there.
     with_body, trials, gains = add_body_by_whole_fit(base, result.state, lines, last + 1, settings)
     if with_body is None:

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.score_statistics import Score
+
+
+def last_round(trials: Sequence[Trial]) -> int:
+    """Return the number of the last round; 0 where there was none."""
+    return max((trial.round for trial in trials), default=0)
 
 
 def make_trial(
