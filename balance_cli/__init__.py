@@ -6,10 +6,10 @@ first used, so that `import balance_cli` alone is fast.
 
 from __future__ import annotations
 
+from balance_cli.io.version import __version__ as __version__
+
 TYPE_CHECKING = False
 """As in `typing`, which is not imported: until the program handles signals, an interrupt would be a traceback."""
-
-__version__ = "0.2.0"
 
 if TYPE_CHECKING:
     from typing import Any

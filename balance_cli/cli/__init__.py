@@ -7,8 +7,8 @@ import importlib.util
 
 import click
 
-from balance_cli import __version__
 from balance_cli.cli.errors import BalanceCommand
+from balance_cli.io.version import __version__
 
 COMMANDS = (
     "import",

@@ -12,9 +12,9 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli import __version__
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.io.errors import UserError
+from balance_cli.io.version import __version__
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
 

@@ -20,7 +20,6 @@ from typing import Any
 
 import h5py
 
-from balance_cli import __version__
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import ARTEFACT_FORMATS
@@ -30,6 +29,7 @@ from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_d
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file, sniff_format
 from balance_cli.io.text_output import storable_text
+from balance_cli.io.version import __version__
 
 ROOT_ATTRIBUTES = ("format", "digest", "command", "options", "inputs", "versions", "created")
 PACKAGES = ("numpy", "scipy", "h5py", "pandas", "pydantic")

@@ -13,13 +13,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from balance_cli import __version__
 from balance_cli.cli.batch.journal import file_stamp
 from balance_cli.cli.batch.work import RunSurvey
 from balance_cli.io.atomic import atomic_write, os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import SURVEY_FORMAT
 from balance_cli.io.object_store import store_url
+from balance_cli.io.version import __version__
 
 
 class KeptSurveys:

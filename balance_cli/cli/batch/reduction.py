@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from balance_cli import __version__
 from balance_cli.campaign.recording.run_file import duplicate_run_error, open_matching_run
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.cli.batch import work
@@ -31,6 +30,7 @@ from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.stored_mapping import StoredMapping
+from balance_cli.io.version import __version__
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.nyquist_noise import RunNoise
 from balance_cli.signals.response_rows import ResponseRows

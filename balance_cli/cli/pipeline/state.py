@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from balance_cli import __version__
 from balance_cli.cli.file_check import FileFinding
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
+from balance_cli.io.version import __version__
 
 STATE_NAME = "run-state.json"
 STATE_FORMAT = "balance-run-state/1"
