@@ -132,3 +132,17 @@ def test_records_without_noise_and_coarse_ones_repeat_no_block():
     for step in (0.5, 0.1, 0.02):
         coarse = np.round(run.read().channels / step) * step
         assert len(repeated_block(replace(run, source=MemorySource(coarse, None)))) == 0
+
+
+def test_a_signal_that_dwells_at_a_flat_crest_by_chance_holds_nothing():
+    """Noise of three steps of the converter repeats values there, and hardly elsewhere."""
+    psi = 2 * np.pi * np.arange(9600) / 96
+    flat_topped = 3000 * (np.cos(psi) - np.cos(3 * psi) / 9)
+    for seed in range(12):
+        samples = np.round(flat_topped + 3 * np.random.default_rng(seed).standard_normal(len(psi)))
+        crest = 96 * (5 + 7 * seed)
+        samples[crest - 3 : crest + 4] = np.round(flat_topped[crest])
+        assert 0 not in held_samples(changed(lambda _, samples=samples: samples))
+        samples[crest + 24 : crest + 32] = np.round(flat_topped[crest + 28])
+        run = changed(lambda _, samples=samples: samples)
+        np.testing.assert_array_equal(held_samples(run)[0], np.arange(crest + 25, crest + 32))

@@ -91,12 +91,12 @@ def _fill(x: Array, missing: NDArray[np.bool_], order: int) -> tuple[Array, Arra
     filled[place] = np.interp(place, np.flatnonzero(~missing), x[~missing])
     coefficients = np.ones(1)
     for _ in range(1 if enough else FILL_ITERATIONS):
-        coefficients = _prediction_error_filter(filled, is_complete if enough else np.ones_like(is_complete), order)
+        coefficients = prediction_error_filter(filled, is_complete if enough else np.ones_like(is_complete), order)
         filled[place] = _Filler(place, coefficients, len(x)).values(filled)
     return filled, coefficients
 
 
-def _prediction_error_filter(x: Array, rows: NDArray[np.bool_], order: int) -> Array:
+def prediction_error_filter(x: Array, rows: NDArray[np.bool_], order: int) -> Array:
     """Return the coefficients (order + 1,), the first 1, of the least residual forward and backward in time."""
     windows = np.lib.stride_tricks.sliding_window_view(x, order + 1)[rows]
     power = windows.T @ windows

@@ -5,7 +5,9 @@ by chance, and a slow signal, which dwells at a peak.
 
 - A segment of identical samples is held if chance does not make it: with the share p of segments of two samples or
   more around it, one of n samples begins one of length L with probability p^(L - 1). It must also end, or begin, with a
-  step of several times the converter's: a slow signal leaves the value at which it dwells by a single one.
+  step of several times the converter's: a slow signal leaves the value at which it dwells by a single one. Signals
+  repeat values at a crest more often than beside it: the samples around the segment, by an autoregressive model, must
+  predict that the channel goes on moving there.
 - All samples of a channel are held if its segments have one length, or multiples of it: it was read at a lower rate.
 - Exact zeros are dropped out if they are far more frequent than each of the values next to zero. They may be single
   samples: each is an error of the opposite sign of the signal, so that amplitudes are too small by their share. The
@@ -20,8 +22,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.special import erfc
 
+from balance_cli.campaign.recording.gap_interpolation import ORDER, SAMPLES_PER_COEFFICIENT, prediction_error_filter
 from balance_cli.campaign.recording.run import Array, Run
 
 Integers = NDArray[np.int64]
@@ -32,6 +37,15 @@ NEIGHBORHOOD = 512
 """Samples on either side of a segment that tell how often values repeat there."""
 CHANCE = 1e-6
 """Probability that a record without held samples has a segment that is taken for held."""
+MODELED = 1024
+"""Samples on either side of a segment that the model of the signal is fitted to: ten for each of its coefficients."""
+CHANCE_OF_DWELL = 1e-4
+"""Of a record: probability of a segment, by the model, above which the channel dwelt there.
+
+A sound record had one of 0.7 %; of 7650 held segments in records of three rigs one passes, 1 % of the signal off.
+"""
+MOST_DWELLS = 10
+"""Segments of a record beyond which none is there by chance, and the time to ask the model would have no bound."""
 STEPS_OF_CONVERTER = 4.0
 """Steps of the converter beyond which a segment is not a peak: a parabola that dwells for five samples or more moves by
 less than one step in the next sample, and noise that dwells is smaller than a step."""
@@ -106,9 +120,15 @@ def _held(x: Array) -> Integers:
     share = _share_of_repeats(starts, lengths, candidates)
     by_chance = len(x) * share ** (lengths[candidates] - 1.0)
     held = candidates[(by_chance < CHANCE) & (_edge_steps(x, starts, lengths, candidates) > _least_step(x, starts))]
+    if len(held) <= MOST_DWELLS:
+        held = held[~_dwells(x, starts[held], lengths[held], _converter_step(x, starts))]
+    return _held_part(x, starts[held], lengths[held])
+
+
+def _held_part(x: Array, starts: Integers, lengths: Integers) -> Integers:
+    """Return the samples of some segments; the first of each was measured unless it is zero."""
     return _samples(
-        (int(start) + (x[start] != 0.0), int(start + length))
-        for start, length in zip(starts[held], lengths[held], strict=True)
+        (int(start) + (x[start] != 0.0), int(start + length)) for start, length in zip(starts, lengths, strict=True)
     )
 
 
@@ -140,6 +160,44 @@ def _edge_steps(x: Array, starts: Integers, lengths: Integers, at: Integers) -> 
     """Return the larger of the steps into and out of some segments, of those that are finite."""
     first, stop = starts[at], np.minimum(starts[at] + lengths[at], len(x) - 1)
     return np.asarray(np.fmax(np.abs(x[first] - x[first - 1]), np.abs(x[first] - x[stop])))
+
+
+def _dwells(x: Array, starts: Integers, lengths: Integers, step: float) -> NDArray[np.bool_]:
+    """Whether the samples around each of some segments let a channel (n,) dwell there by itself."""
+    known = np.isfinite(x)
+    known[_held_part(x, starts, lengths)] = False
+    return np.array(
+        [
+            len(x) * _dwell_probability(x, known, int(start), int(length), step) > CHANCE_OF_DWELL
+            for start, length in zip(starts, lengths, strict=True)
+        ],
+        bool,
+    )
+
+
+def _dwell_probability(x: Array, known: NDArray[np.bool_], start: int, length: int, step: float) -> float:
+    """Return the probability that a channel (n,) repeats x[start] for a segment, and goes on as it does, by itself.
+
+    It is the product over the samples of the segment of their probability given the samples before (after, where the
+    segment begins the channel), by an autoregressive model of those around it.
+    """
+    if start <= ORDER < len(x) - start - length:
+        return _dwell_probability(x[::-1], known[::-1], len(x) - start - length, length, step)
+    low = max(0, start - MODELED)
+    signal, known = x[low : start + length + MODELED], known[low : start + length + MODELED]
+    order = min(ORDER, start - low, int(np.count_nonzero(known)) // SAMPLES_PER_COEFFICIENT)
+    complete = np.asarray(sliding_window_view(known, order + 1).all(axis=1), bool)
+    if order < 1 or np.count_nonzero(complete) < 2 * order:
+        return 0.0
+    signal = np.where(np.isfinite(signal), signal - np.mean(signal[known]), 0.0)
+    scale = float(np.abs(signal).max()) or 1.0
+    signal = signal / scale
+    errors = scale * np.convolve(signal, prediction_error_filter(signal, complete, order), "valid")
+    first = start + 1 - low - order
+    sigma = max(float(np.sqrt(np.mean(errors[complete] ** 2))), np.finfo(float).tiny)
+    z = errors[first : first + length] / sigma
+    repeats = min(1.0, step / (np.sqrt(2 * np.pi) * sigma)) * np.exp(-(z[: length - 1] ** 2) / 2)
+    return float(np.prod(repeats) * np.prod(erfc(np.abs(z[length - 1 :]) / np.sqrt(2))))
 
 
 def _least_step(x: Array, starts: Integers) -> float:
