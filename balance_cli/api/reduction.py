@@ -31,12 +31,11 @@ from balance_cli.steps.cross_checks import cross_check, earlier_warnings
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.steps.reduction_inputs import (
+    compared_zero,
     default_harmonics,
     harmonics_within_band,
-    loaded_zero_warning,
     loads_with_filter_tests,
     require_same_geometry,
-    zero_reference,
 )
 
 Response = IdentifiedModel | Transfer | Literal["static"]
@@ -110,8 +109,7 @@ def reduce(
 def _zero(zeros: Sequence[Run], calibration: Calibration, used: Sequence[Run]) -> tuple[ZeroRecord | None, str]:
     """Return the zero of the mean loads, and a warning where that which was given is none."""
     shown = min(used, key=lambda run: (run.kind != "wind", run.name))
-    reference = zero_reference(zeros, calibration, shown)
-    return reference, loaded_zero_warning(zeros, shown) if reference is None else ""
+    return compared_zero(zeros, calibration, shown)
 
 
 def _reduce_run(

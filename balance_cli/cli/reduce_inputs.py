@@ -102,19 +102,19 @@ def read_zero(
     calibration: Calibration | None,
     path: Path | None,
     zeros: tuple[Run, ...],
-    record: Run | None = None,
+    record: Run,
 ) -> ZeroRecord | None:
     """Return the wind-off record: the one given, or the one among `zeros`; none without a calibration.
 
     A check or wind `record` shows the steps of the converter, and whether the zero was made under load.
     """
-    from balance_cli.steps.reduction_inputs import loaded_zero_warning, zero_reference
+    from balance_cli.steps.reduction_inputs import compared_zero
 
     if calibration is None:
         return None
     if path is not None:
         zeros = tuple(session.runs([path], calibration.geometry, role="zero"))
-    reference = zero_reference(zeros, calibration, record)
-    if zeros and reference is None:
-        session.warn(loaded_zero_warning(zeros, record))
+    reference, loaded = compared_zero(zeros, calibration, record)
+    if loaded:
+        session.warn(loaded)
     return reference

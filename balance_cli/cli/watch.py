@@ -10,7 +10,7 @@ import click
 from balance_cli.cli.common import Session, balance_command
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.options import InputFile, InputFolder, NumberRange, OutputFolder
-from balance_cli.cli.reduce_inputs import read_calibration, read_response, read_zero
+from balance_cli.cli.reduce_inputs import read_calibration, read_response
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.choices import MOST_HARMONICS
 
@@ -112,10 +112,11 @@ def _start(session: Session, folder: Path, given: tuple[Any, ...], output: Path,
 
     calibration, model, transfer, zero, harmonics = given
     geometry, source, usual_noise = read_response(session, calibration, model, transfer, INTERPOLATIONS[0])
-    reference = read_zero(session, calibration, zero, ()) if zero is not None else None
     options = MethodOptions(HARMONIC, None, None, harmonics or 0)
-    reduction = Reduction(options, geometry, calibration, source, reference, None, usual_noise=usual_noise)
+    reduction = Reduction(options, geometry, calibration, source, None, None, usual_noise=usual_noise)
     quick_look = QuickLook(session, reduction, harmonics, zero is not None)
+    if zero is not None:
+        quick_look.use_zero(*session.runs([zero], geometry, role="zero"))
     watch = Watch(session, WatchedFolder(folder), quick_look, output, page_runs)
     watch.restore()
     return watch

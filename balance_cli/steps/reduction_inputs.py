@@ -88,11 +88,10 @@ def require_same_geometry(geometry: Geometry, calibration: Calibration, file: st
 
 
 def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run | None = None) -> ZeroRecord | None:
-    """Return the wind-off record that mean loads count from, None without one or where it was made under load.
+    """Return the wind-off record that mean loads count from, None without one.
 
-    A check or wind `record` shows whether it was (`loaded_zero_warning` says so) and, where too few channels move in
-    it, whether it is the converter that is coarse. Raises UserError for several runs, for a run of another kind, and
-    where too few channels of means can be used.
+    Where too few channels move in it, a check or wind `record` shows whether it is the converter that is coarse. Raises
+    UserError for several runs, for a run of another kind, and where too few channels of means can be used.
     """
     if len(zeros) > 1:
         names = ", ".join(run.name for run in zeros)
@@ -102,8 +101,6 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
     run, place = zeros[0], zeros[0].file
     if run.kind != "zero":
         raise UserError(f"is a {run.kind} run", place, "attribute `kind`", "Give a wind-off record of kind `zero`")
-    if loaded_zero_warning(zeros, record):
-        return None
     health = live_channels(run, calibration.geometry)
     dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
     live = [name for name in dc_channels if name in health.live]
@@ -123,9 +120,15 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
     return zero_record(run, live)
 
 
-def loaded_zero_warning(zeros: Sequence[Run], record: Run | None) -> str:
+def compared_zero(zeros: Sequence[Run], calibration: Calibration, record: Run) -> tuple[ZeroRecord | None, str]:
+    """Return `zero_reference`, and a warning in its place where a check or wind `record` shows it to be loaded."""
+    loaded = loaded_zero_warning(zeros, record)
+    return (None, loaded) if loaded else (zero_reference(zeros, calibration, record), "")
+
+
+def loaded_zero_warning(zeros: Sequence[Run], record: Run) -> str:
     """Return that the zero run was made under load, as a wind or check `record` shows; empty where it does not."""
-    loaded = describe_loaded_zero(zeros[0], record) if zeros and record is not None else ""
+    loaded = describe_loaded_zero(zeros[0], record) if zeros else ""
     if not loaded:
         return ""
     run = zeros[0]

@@ -158,3 +158,21 @@ def test_a_run_without_rotor_loads_is_left_out(made, watch, tmp_path):
 def test_calls_that_cannot_be_meant_are_refused(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert message in call("watch", *words, status=2).output
+
+
+def test_a_given_zero_that_was_made_under_load_is_not_used(tmp_path):
+    """A wind run as --zero takes its own mean loads from those of each run, without a trace in their sigma."""
+    folder = RIG.parents[1] / "sample_data"
+    rig = RIG.with_name("rts-6.yaml")
+    call("calibrate", "-g", rig, folder / "static-bare.h5", "-o", tmp_path / "cal.h5")
+    call("identify", "-g", rig, "--method", "computed", "-o", tmp_path / "model.h5")
+    (tmp_path / "in").mkdir()
+    shutil.copy(folder / "wind-1.h5", tmp_path / "in")
+    shutil.copy(folder / "wind-2.h5", tmp_path / "loaded.h5")
+    with h5py.File(tmp_path / "loaded.h5", "r+") as file:
+        file.attrs["kind"] = "zero"
+    given = ("--calibration", tmp_path / "cal.h5", "--model", tmp_path / "model.h5", "--zero", tmp_path / "loaded.h5")
+    call("watch", tmp_path / "in", *given, "-o", tmp_path / "out", "--once", "--every", 0.05)
+    (entry,) = journal(tmp_path)
+    assert any("is no wind-off record and is not used" in text for text in entry["warnings"])
+    assert all("no zero" in flag for flag in loads(tmp_path).runs["wind-1"].flags[0])

@@ -42,9 +42,9 @@ class NoRotorLoadsError(Exception):
 class QuickLook:
     """The reduction of all runs of a folder, and the loads so far {run: loads}.
 
-    `harmonics`: None for the default of each run. `has_own_zero`: the zero record was given, so those in the folder are
+    `harmonics`: None for the default of each run. `has_own_zero`: a zero record was given, so those in the folder are
     not used. `files` {run: file} tells two files with one run name. `run_inputs` {run: digest}. `is_changed`: the loads
-    changed since they were written, for the caller to reset. `zero`: the wind-off record of the folder.
+    changed since they were written, for the caller to reset. `zero`: the wind-off record that is used.
     """
 
     session: Session
@@ -92,9 +92,9 @@ class QuickLook:
         return loads, new_warnings
 
     def use_zero(self, run: Run) -> None:
-        """Let the mean loads of the following runs count from this wind-off record, unless one was given."""
+        """Let the mean loads of the following runs count from this wind-off record."""
         calibration = self.reduction.calibration
-        if calibration is not None and not self.has_own_zero:
+        if calibration is not None:
             self.reduction, self.zero = replace(self.reduction, zero=zero_reference([run], calibration)), run
 
     def hub_loads(self, names: Iterable[str] | None = None) -> HubLoads:
@@ -138,7 +138,8 @@ class QuickLook:
 
     def _take_other_kind(self, run: Run) -> None:
         if run.kind == "zero":
-            self.use_zero(run)
+            if not self.has_own_zero:
+                self.use_zero(run)
             reason = "--zero is used" if self.has_own_zero else "zero of the mean loads"
             raise NoRotorLoadsError(reason, run.name, run.kind)
         raise NoRotorLoadsError(f"a {run.kind} run contains no rotor loads", run.name, run.kind)
