@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.campaign.rig.attitude import is_one_direction
+from balance_cli.campaign.rig.attitude import gravity_directions, is_one_direction
 from balance_cli.reduction.flags import NO_WEIGHT, join_flags
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord
 
 Array = NDArray[np.float64]
+
+
+LEVEL = gravity_directions([[0.0, 0.0]])[0]
 
 
 def without_change_of_weight(
@@ -25,21 +28,32 @@ def without_change_of_weight(
 ) -> MeanLoads:
     """Return mean loads less what the weight of the metric part changed between the zero and the run.
 
-    `gravity` (3,): direction in the axes of the rig during the run. Nothing is changed where it or that of the zero is
-    not known (None). Where the calibration did not determine the weight, the loads are flagged NO_WEIGHT.
+    `gravity` (3,): direction in the axes of the rig during the run, None where it is not stated. The loads are flagged
+    NO_WEIGHT where the calibration did not determine the weight, and where one of the two states that the rig was
+    not level and the other states nothing.
     """
-    if zero is None or zero.gravity is None or gravity is None or is_one_direction(np.stack([zero.gravity, gravity])):
+    if zero is None or (gravity is None and zero.gravity is None):
         return loads
+    directions = np.stack([LEVEL if item is None else item for item in (gravity, zero.gravity)])
+    if is_one_direction(directions):
+        return loads
+    if gravity is None or zero.gravity is None:
+        states, silent = (zero.run, "this run") if gravity is None else ("this run", zero.run)
+        return _flagged(loads, f"{states} states that the rig was not level, {silent} states no attitude")
     tares = None if calibration.all_trims is None else calibration.all_trims.tares
     if tares is None:
-        flags = tuple(join_flags((flag, NO_WEIGHT)) for flag in loads.flags)
-        note = (
-            f"`pitch` or `roll`, the attitude of the rig, differ from those of {zero.run}, and the calibration has not "
-            "determined the weight of the metric part: the mean loads contain its change. Record a zero in this "
-            "attitude, or calibrate in three attitudes (name another angle otherwise)"
-        )
-        return replace(loads, flags=flags, note="; ".join(filter(None, [loads.note, note])))
-    change = tares.loads(np.stack([gravity, zero.gravity]), loads.components)
-    covariance = tares.difference_covariance(gravity[None], zero.gravity[None], loads.components)[0]
+        differ = f"the attitude of the rig differs from that of {zero.run}"
+        return _flagged(loads, f"{differ}, and the calibration has not determined the weight of the metric part")
+    change = tares.loads(directions, loads.components)
+    covariance = tares.difference_covariance(directions[:1], directions[1:], loads.components)[0]
     sigma = np.sqrt(loads.sigma**2 + np.diag(covariance))
     return replace(loads, loads=loads.loads - (change[0] - change[1]), sigma=sigma)
+
+
+def _flagged(loads: MeanLoads, reason: str) -> MeanLoads:
+    note = (
+        f"`pitch` or `roll`: {reason}: the mean loads contain the change of its weight. Record a zero in this attitude "
+        "and state it in both, or calibrate in three attitudes (name another angle otherwise)"
+    )
+    flags = tuple(join_flags((flag, NO_WEIGHT)) for flag in loads.flags)
+    return replace(loads, flags=flags, note="; ".join(filter(None, [loads.note, note])))

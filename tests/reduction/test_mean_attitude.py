@@ -57,6 +57,17 @@ def test_a_change_of_weight_that_is_not_known_is_named(tilted, campaign, calibra
         assert not any("weight" in flag for flag in level.flags[0])
 
 
+@pytest.mark.parametrize(("of_run", "of_zero"), [({"pitch": 8.0}, {}), ({}, {"roll": -3.0})])
+def test_an_attitude_that_only_the_run_or_its_zero_states_is_named(
+    tilted, campaign, calibration, identified, of_run, of_zero
+):
+    _, wind, zero = tilted
+    records = replace(wind, conditions=of_run), replace(zero, conditions=of_zero)
+    named = means(*records, campaign, calibration, identified)
+    assert all("no weight" in flag for flag in named.flags[0])
+    assert any("states no attitude" in note for note in named.notes)
+
+
 def test_a_weight_that_the_calibration_knows_is_taken_off(tilted, campaign, calibration, identified):
     run, wind, zero = tilted
     w, sigma = np.r_[WEIGHT, WEIGHT * CENTER], np.array([1.0, 0.3, 0.3, 0.3])
