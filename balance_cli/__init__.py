@@ -6,8 +6,6 @@ first used, so that `import balance_cli` alone is fast.
 
 from __future__ import annotations
 
-from balance_cli.io.version import __version__ as __version__
-
 TYPE_CHECKING = False
 """As in `typing`, which is not imported: until the program handles signals, an interrupt would be a traceback."""
 
@@ -25,9 +23,11 @@ if TYPE_CHECKING:
     from balance_cli.api.reduction import reduce as reduce
     from balance_cli.api.simulation import simulate as simulate
     from balance_cli.io.errors import UserError as UserError
+    from balance_cli.io.version import __version__ as __version__
 
 _MODULE_OF = {
     "UserError": "balance_cli.io.errors",
+    "__version__": "balance_cli.io.version",
     "calibrate": "balance_cli.api.analysis",
     "diagnose": "balance_cli.api.diagnosis",
     "frequency_response": "balance_cli.api.analysis",
