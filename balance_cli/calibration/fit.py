@@ -15,8 +15,8 @@ from balance_cli.calibration.load_series_reading import SeriesReading, read_load
 from balance_cli.calibration.load_series_score import ScheduleRows
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.repeated_tares import lack_of_fit_model
-from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
+from balance_cli.calibration.term_search import search_terms
 from balance_cli.calibration.term_support import find_supported_terms
 from balance_cli.calibration.terms import Term, linear_terms, term_values
 from balance_cli.campaign.rig.attitude import attitude_segments
@@ -143,7 +143,7 @@ def fit_calibration_model(
         channel_terms = _fixed_terms(points, choice, terms)
     elif len(X) > k + len(np.unique(load_series)) + 1:
         quadratic = [place for place, term in enumerate(terms) if term.is_quadratic]
-        channel_terms = select_terms(X, Y, load_series, load_series, k, w, quadratic, choice.significance)
+        channel_terms = search_terms(X, Y, x, load_series, w, quadratic, choice.significance)
     return _fit_terms(points, terms, unsupported, channel_terms)
 
 

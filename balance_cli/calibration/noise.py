@@ -73,6 +73,23 @@ def estimate_calibration_noise(residuals: Array, x: Array, C: Array, covariance:
     return CalibrationNoise(_nearest_positive_definite(own_part) * np.sqrt(scale[:, None] * scale), loads)
 
 
+def row_variance(residuals: Array, x: Array) -> Array:
+    """Return the variance (m,) of each row of one channel: its own, and that of the loads x (m, k) applied in the row.
+
+    The readings of a channel that one load alone moves do not tell the two apart by other channels. Units are those of
+    the squared residuals (m,).
+    """
+    from scipy.optimize import nnls
+
+    columns = np.column_stack([np.ones(len(x)), np.abs(x) > APPLIED_SHARE])
+    mean = float(np.mean(residuals**2)) or 1.0
+    variance = np.ones(len(x))
+    for _ in range(REWEIGHTING_ITERATIONS):
+        weighted = columns / variance[:, None]
+        variance = np.maximum(columns @ nnls(weighted, residuals**2 / mean / variance)[0], MIN_OWN_SHARE)
+    return np.asarray(mean * variance)
+
+
 def _loads_are_noisy(squares: Array, variance: Array, loads: int) -> bool:
     """Whether noise of the loads explains squared residuals (m, c) significantly better than noise of the channels.
 

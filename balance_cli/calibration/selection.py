@@ -49,12 +49,14 @@ def select_terms(
     weight: Array | None = None,
     family: Sequence[int] = (),
     significance: float = TERM_SIGNIFICANCE_LEVEL,
+    outputs: int | None = None,
 ) -> list[tuple[int, ...]]:
     """Select the columns of X (m, p) that each output of Y (m, c) has; the first `linear_count` are in every model.
 
     Each `block` (m,) has its own zero; cross-validation leaves out whole `load_series` (m,). `family`: columns that
     are taken all together where the load series are predicted far better with them than with the selected ones.
-    `significance`: probability of a spurious term in any of the outputs.
+    `significance`: probability of a spurious term in any of the outputs, of which there are more `outputs` than those
+    of Y where others are searched by themselves.
     """
     w = np.ones(len(X)) if weight is None else weight
     Xc, Yc = (subtract_block_means(values, block, w) for values in (X, Y))
@@ -62,7 +64,7 @@ def select_terms(
     Xs = Xc / np.where(size > 0, size, 1.0)
     G, g = Xs.T @ Xs, Xs.T @ Yc
     pairs = _correlated_pairs(G, linear_count)
-    tests = max((X.shape[1] - linear_count + len(pairs)) * Y.shape[1], 1)
+    tests = max((X.shape[1] - linear_count + len(pairs)) * (outputs or Y.shape[1]), 1)
     rows_less_zeros = len(X) - len(np.unique(block))
     channel_terms = []
     for c in range(Y.shape[1]):
