@@ -6,7 +6,7 @@ rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from balance_cli.io.percent import percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, NO_ZERO
+from balance_cli.reduction.model_sources import ModelSource
+from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import MODEL_ERROR_SHARE
 
@@ -85,6 +87,25 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     return (_FlaggedRuns(runs, contradictions) if contradictory or with_wrong_rows else runs), contradictions
 
 
+def flag_by_held_out_runs(loads: RunLoads, source: ResponseSource) -> RunLoads:
+    """Return the loads with those flagged that check runs contradicted when the model was made."""
+    contradicted = source.model.contradicted if isinstance(source, ModelSource) else None
+    if not contradicted:
+        return loads
+    errors = ", ".join(f"{name} by {percent_text(error, 3)} %" for name, error in contradicted.items())
+    note = f"the model misses known loads of check runs that were held out, {errors}: it lacks something there"
+    rows = np.zeros(loads.amplitude.shape, bool)
+    rows[1:] = _wrong_components(loads, contradicted)
+    return loads.with_flag(MODEL_CONTRADICTED, note, where=rows)
+
+
+def _wrong_components(loads: RunLoads, contradicted: Collection[str]) -> Mask:
+    """Return which components (m,) to flag: those, or all where they are half of them."""
+    wrong = np.array([component in contradicted for component in loads.components])
+    # With so many wrong it is the channels, and only the symmetry of a rig or of its loads keeps the others right.
+    return wrong | (2 * np.count_nonzero(wrong) >= len(wrong))
+
+
 class _FlaggedRuns(Mapping[str, RunLoads]):
     """The loads of runs, each flagged when it is asked for: a batch has more of them than fit in memory."""
 
@@ -98,9 +119,7 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
     def __getitem__(self, name: str) -> RunLoads:
         loads = self._runs[name]
         rows = _contradicted_rows(loads)
-        wrong = np.array([component in self._components for component in loads.components])
-        # With so many wrong it is the channels, and only the symmetry of a rig or of its loads keeps the others right.
-        rows[1:] |= wrong if 2 * np.count_nonzero(wrong) < len(wrong) else True
+        rows[1:] |= _wrong_components(loads, self._components)
         rows[0] |= np.array([component in self._means for component in loads.components])
         rows |= self._has_wrong_channels  # which are those of the mean loads, too
         return loads.with_flag(MODEL_CONTRADICTED, *self._sentences, where=rows) if rows.any() else loads

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +14,11 @@ from balance_cli.diagnosis.result import HoldOut
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.response_error import ResponseError
+from balance_cli.reduction.check_contradiction import SIGNIFICANT
 from balance_cli.reduction.harmonic_loads import harmonic_response
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.rotor_record import rotor_record
+from balance_cli.reduction.trust import MODEL_ERROR_SHARE
 from balance_cli.steps.hold_out import record_load_matrices
 
 
@@ -30,16 +32,32 @@ def add_hold_out_error(
 
     What acts with a turning rotor alone (a gyroscopic moment) is in no sweep at rest, but in check runs as in wind-on
     runs. The error widens the standard deviations of the loads that `reduce` gives; that of a load which no such run
-    applied stays unknown. Without such runs the model stays.
+    applied stays unknown. Components that the model misses beyond its sigma are named in it, and `reduce` flags them:
+    check runs show the error of few frequencies. Without such runs the model stays.
     """
-    undescribed = [run for run in runs if run.kind == "check" and run.name in errors]
-    undescribed = [run for run in undescribed if not is_described(errors[run.name], settings)]
-    if not undescribed:
+    checks = [run for run in runs if run.kind == "check" and run.name in errors]
+    contradicted = contradicted_loads(errors[run.name] for run in checks)
+    undescribed = [run for run in checks if not is_described(errors[run.name], settings)]
+    if not undescribed and not contradicted:
         return model
     error = model.response_error
     for run in undescribed:
         error = _response_error(run, model).combine(error)
-    return replace(model, response_error=error)
+    return replace(model, response_error=error, contradicted=contradicted or None)
+
+
+def contradicted_loads(errors: Iterable[HoldOut]) -> dict[str, float]:
+    """Return the largest relative error of each component that check runs contradict, by the rule of `reduce`.
+
+    It compares the error with what noise and the error of the response, before this is widened, make expect.
+    """
+    wrong: dict[str, float] = {}
+    for item in errors:
+        expected = {} if item.expected is None else item.expected.load_error
+        for name, error in item.after.load_error.items():
+            if error > max(MODEL_ERROR_SHARE, SIGNIFICANT * expected.get(name, np.inf)):
+                wrong[name] = max(error, wrong.get(name, 0.0))
+    return wrong
 
 
 def _response_error(run: Run, model: IdentifiedModel) -> ResponseError:

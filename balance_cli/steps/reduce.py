@@ -14,6 +14,7 @@ from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.check_contradiction import flag_by_held_out_runs
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
 from balance_cli.reduction.gain_error import add_gain_error
@@ -114,6 +115,7 @@ def reduce_record(
     loads = replace(_with_mean_change(loads, trust.mean_change), wrong_channels=trust.wrong_channels or None)
     if static is not None:
         loads = _flag_implausible(loads, static)
+    loads = flag_by_held_out_runs(loads, source)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     return _with_check_errors(loads, record, harmonic_solution, geometry, source, response)

@@ -14,6 +14,7 @@ from balance_cli.simulation.extensions.library import extension
 from balance_cli.steps.hold_out import hold_out_errors
 from balance_cli.steps.hold_out_model_error import add_hold_out_error
 from balance_cli.steps.identify import IdentifyOptions, identify
+from balance_cli.steps.reduce import reduce_run
 from tests.support.other_rigs import other_rig, short_campaign
 
 GEOMETRY = other_rig("A")
@@ -71,3 +72,16 @@ def test_loads_have_the_error_that_check_runs_show(model):
 def test_a_model_that_describes_its_check_runs_stays(model):
     runs, _ = rotor_runs()
     assert with_check_runs(model, runs) is model
+
+
+def test_components_that_check_runs_contradict_are_flagged_in_other_runs(model):
+    """Between the frequencies of check runs their error is a guess: a load was 14 % off, 14 sigma, unflagged."""
+    runs, _ = rotor_runs(COUPLING)
+    tested = with_check_runs(model, runs)
+    assert tested.contradicted is not None and 0 < len(tested.contradicted) < 3
+    assert set(tested.contradicted) <= {"Mx", "My"} and min(tested.contradicted.values()) > 0.1
+    flagged, plain = (reduce_run(runs[2], GEOMETRY, None, model_source(each)) for each in (tested, model))
+    for name, *flags in zip(flagged.components, *flagged.flags[1:], strict=True):
+        assert all("model contradicted" in flag for flag in flags) or name not in tested.contradicted
+    assert any("check runs that were held out" in note for note in flagged.notes)
+    assert not any("check runs that were held out" in note for note in plain.notes)
