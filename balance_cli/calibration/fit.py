@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.block_zeros import BlockZeros
 from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, weighted_rms
 from balance_cli.calibration.load_series import describe_load_series
 from balance_cli.calibration.load_series_reading import SeriesReading, read_load_series
@@ -267,10 +268,9 @@ def _series_zeros(channels: ChannelFits) -> tuple[Array, Array]:
 
     With M (s, p) the means of the terms in each series: s^2 (diag(1/n) + M (R'R)^-1 M').
     """
-    load_series, weight, X = channels.load_series, channels.weight, channels.X
-    names = np.unique(load_series)
-    M = np.array([np.average(X[load_series == n], axis=0, weights=weight[load_series == n]) for n in names])
-    share = np.diag([1.0 / weight[load_series == n].sum() for n in names])
+    blocks = BlockZeros.from_blocks(channels.load_series, channels.weight)
+    M = blocks.means(channels.X * blocks.root[:, None])
+    share = np.diag(1.0 / blocks.total)
     covariance = [
         fit.variance[0] * (share + M[:, list(selected)] @ fit.inverse @ M[:, list(selected)].T)
         for selected, fit in zip(channels.selected, channels.fits, strict=True)
@@ -280,13 +280,16 @@ def _series_zeros(channels: ChannelFits) -> tuple[Array, Array]:
 
 def _series_descriptions(points: CalibrationPoints) -> tuple[str, ...]:
     """Describe each load series that has rows of nonzero weight."""
-    load_series, descriptions = points.load_series, []
-    for name in np.unique(load_series[points.weight > 0]):
-        rows = np.flatnonzero(load_series == name)
-        run = int(points.run[rows[0]])
-        first = int(np.flatnonzero(points.run == run)[0])
-        run_loads = points.x[points.run == run]
-        descriptions.append(describe_load_series(rows - first, points.run_names[run], points.components, run_loads))
+    x, load_series, order = points.x, points.load_series, np.argsort(points.load_series, kind="stable")
+    _, first, place = np.unique(points.run, return_index=True, return_inverse=True)
+    first = first[place]  # of the run of each row, whose rows are consecutive
+    names = np.unique(load_series[points.weight > 0])
+    starts, ends = (np.searchsorted(load_series[order], names, side) for side in ("left", "right"))
+    descriptions = []
+    for start, end in zip(starts, ends, strict=True):
+        rows, begin = order[start:end], first[order[start]]
+        run = points.run_names[points.run[rows[0]]]
+        descriptions.append(describe_load_series(rows - begin, run, points.components, x[begin:]))
     return tuple(descriptions)
 
 

@@ -115,7 +115,7 @@ def _worst_series(
     }
     if not candidates:
         return None
-    words = dict(_series_names(np.unique(load_series[used]), fit))
+    words = dict(zip(np.unique(load_series[used]).tolist(), fit.model.load_series, strict=True))
     misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in words}
     worst = min(candidates, key=lambda name: misfit[name])
     # One that predicts no change where there is one has no gain, and is no candidate.
@@ -166,7 +166,7 @@ def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) ->
     """Suspect and unpredicted channels of the load series that have any."""
     load_series, used = points.load_series, points.weight > 0
     by_series = {}
-    for name, description in _series_names(np.unique(load_series[used]), fit):
+    for name, description in zip(np.unique(load_series[used]).tolist(), fit.model.load_series, strict=True):
         rows = (load_series == name) & used
         known = np.isfinite(fit.cross_validation_errors[rows]).all(axis=0)
         unpredicted = frozenset(np.array(points.channel_names)[~known].tolist())
@@ -186,10 +186,6 @@ def _beyond_scatter(channels: list[SuspectLoadSeries], scatter: float) -> list[S
     """Those whose gain differs from one by more than the `scatter` of the gains of the other load series."""
     limit = float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL)) * scatter
     return [suspect for suspect in channels if abs(suspect.gain - 1.0) > limit]
-
-
-def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str]]:
-    return list(zip(names.tolist(), fit.model.load_series, strict=True))
 
 
 def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
@@ -214,18 +210,21 @@ def _suspect_channels(
     errors = np.where(known, fit.cross_validation_errors[rows], change)  # a prediction of no change has no gain
     predicted = change - (errors - errors.mean(axis=0))
     least, names = least_gain_errors(points, fit, rows, predicted), points.channel_names
-    if not any(_check_channel_gain(c, change, predicted, 0.0 * least, least, names, "") for c in range(len(names))):
-        return []
-    others = _fit_of_others(points, fit, rows, known)
     # The misfit of a linear model follows the load: it does not average out over the rows.
     power = np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny)
-    misfit = change - np.mean(predicted * change, axis=0) / power * predicted
-    sigma = _noise(fit, others, misfit, known) / np.sqrt(power)
-    sigma = np.hypot(sigma, _prediction_gain_sigma(others.model, points.loads[rows], predicted))
-    suspect_channels = (
-        _check_channel_gain(c, change, predicted, sigma, least, names, description) for c in range(len(names))
-    )
-    return [suspect for suspect in suspect_channels if suspect is not None]
+    misfit = np.sqrt(np.mean((change - np.mean(predicted * change, axis=0) / power * predicted) ** 2, axis=0))
+    noise = robust_sigma(np.where(known, fit.cross_validation_errors, 0.0))
+
+    def check(sigma: Array) -> list[SuspectLoadSeries]:
+        found = (_check_channel_gain(c, change, predicted, sigma, least, names, description) for c in range(len(names)))
+        return [suspect for suspect in found if suspect is not None]
+
+    # Sigma is no less than this whatever the others tell, so that few series need the fit of the others.
+    if not check(np.minimum(noise, misfit) / np.sqrt(power)):
+        return []
+    others = _fit_of_others(points, fit, rows, known)
+    sigma = _noise(noise, misfit, others, known) / np.sqrt(power)
+    return check(np.hypot(sigma, _prediction_gain_sigma(others.model, points.loads[rows], predicted)))
 
 
 def _fit_of_others(
@@ -236,16 +235,16 @@ def _fit_of_others(
     return refit_terms(points.exclude_rows(rows), replace(fit.model, t=np.where(is_determined, fit.model.t, np.nan)))
 
 
-def _noise(fit: CalibrationModelFit, others: CalibrationModelFit, misfit: Array, known: NDArray[np.bool_]) -> Array:
-    """Standard deviation (c,) of predictions: of all load series, or of the `others` without the one that is judged.
+def _noise(noise: Array, misfit: Array, others: CalibrationModelFit, known: NDArray[np.bool_]) -> Array:
+    """Standard deviation (c,) of predictions: `noise` of all load series, or of the `others` without the judged one.
 
     A wrong series spoils the prediction of each one that shares its loads, which may be most. Where the others predict
-    half of their rows without it, their errors are the noise, with the `misfit` (r, c) that no gain explains, as long
-    as they are smaller.
+    half of their rows without it, their errors are the noise, with the `misfit` (c,) that no gain explains, as long as
+    they are smaller.
     """
-    noise, errors = robust_sigma(np.where(known, fit.cross_validation_errors, 0.0)), others.cross_validation_errors
+    errors = others.cross_validation_errors
     is_told = np.count_nonzero(np.isfinite(errors), axis=0) >= 0.5 * np.count_nonzero(np.isfinite(others.residuals), 0)
-    own = np.hypot(robust_sigma(np.where(is_told & known, errors, 0.0)), np.sqrt(np.mean(misfit**2, axis=0)))
+    own = np.hypot(robust_sigma(np.where(is_told & known, errors, 0.0)), misfit)
     return np.where(is_told & known, np.minimum(noise, own), noise)
 
 
