@@ -24,10 +24,19 @@ SNIFFED_BYTES = 65536
 
 @dataclass(frozen=True)
 class ForeignChannel:
-    """A channel as its file names it; `unit` is empty where the file states none."""
+    """A channel as its file names it; `unit` is empty where the file states none.
+
+    `label`: what the file calls the signal, where `name` is the place of its samples (`rec.Y[3].Data`); else empty.
+    """
 
     name: str
     unit: str = ""
+    label: str = ""
+
+    @property
+    def signal(self) -> str:
+        """What the signal is called."""
+        return self.label or self.name
 
 
 @dataclass(frozen=True)

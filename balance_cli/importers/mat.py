@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,11 @@ import numpy as np
 
 from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, errors_as_damage
 from balance_cli.importers.mat_elements import examine_elements
+from balance_cli.importers.mat_members import members
 from balance_cli.importers.matrices import matrix_group, scalar_of
 from balance_cli.io.errors import UserError
 
 NAME = "MAT"
-DEEPEST = 8
-"""Levels of nested structures and cell arrays."""
-MOST_ELEMENTS = 1000
-"""Elements of an array of structures or cells that are listed; a record has fewer channels."""
 NUMERIC_CLASSES = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
@@ -61,10 +58,10 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         if is_matrix and max(shape) > 1 and min(shape) > 0:
             groups.append(_lazy_group(name, shape, load))
         elif kind in ("struct", "cell") or (is_matrix and shape == (1, 1)):
-            for member, values in _members(name, load(name)):
-                if (value := scalar_of(values)) is not None:
-                    scalars[member] = value
-                elif (group := matrix_group(member, values)) is not None:
+            for member in members(name, load(name)):
+                if (value := scalar_of(member.values)) is not None:
+                    scalars[member.name] = value
+                elif (group := matrix_group(*member)) is not None:
                     groups.append(group)
     if not groups:
         raise UserError("has no matrix of numbers with samples", remedy="Save the records as matrices or vectors")
@@ -94,20 +91,3 @@ def _lazy_group(name: str, shape: tuple[int, ...], load: Any) -> ChannelGroup:
         return np.asarray(part, np.float64)
 
     return ChannelGroup(tuple(ForeignChannel(channel) for channel in names), max(shape), read)
-
-
-def _members(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """The numeric members of structures and cell arrays with their names: `rec.force`, `channel[2].data`, `runs[1]`."""
-    dtype = np.asarray(value).dtype if not isinstance(value, np.void) else value.dtype
-    fields = dtype.names
-    if fields is None and dtype.kind != "O":
-        yield name, value
-    elif depth < DEEPEST:
-        elements = value.ravel(order="F") if isinstance(value, np.ndarray) else [value]
-        for k, element in enumerate(elements[:MOST_ELEMENTS]):
-            own = name if len(elements) == 1 else f"{name}[{k + 1}]"
-            if fields is None:
-                yield from _members(own, element, depth + 1)
-            else:
-                for item in fields:
-                    yield from _members(f"{own}.{item}", element[item], depth + 1)

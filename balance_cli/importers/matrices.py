@@ -20,8 +20,11 @@ def scalar_of(values: Any) -> float | None:
     return float(array.reshape(-1)[0])
 
 
-def matrix_group(name: str, values: Any) -> ChannelGroup | None:
-    """The columns of a real matrix as channels, its longer side as time; None for anything else."""
+def matrix_group(name: str, values: Any, label: str = "", unit: str = "") -> ChannelGroup | None:
+    """The columns of a real matrix as channels, its longer side as time; None for anything else.
+
+    `label` is that of a single column.
+    """
     array = np.squeeze(np.asarray(values))
     if array.dtype.kind not in "iufb" or array.ndim not in (1, 2) or array.size < FEWEST_SAMPLES:
         return None
@@ -32,5 +35,6 @@ def matrix_group(name: str, values: Any) -> ChannelGroup | None:
     def read(columns: Sequence[int], start: int, stop: int) -> Array:
         return select_columns(table[start:stop], columns)
 
-    names = (name,) if count == 1 else tuple(f"{name}[{k + 1}]" for k in range(count))
-    return ChannelGroup(tuple(ForeignChannel(channel) for channel in names), len(table), read)
+    if count == 1:
+        return ChannelGroup((ForeignChannel(name, unit, label),), len(table), read)
+    return ChannelGroup(tuple(ForeignChannel(f"{name}[{k + 1}]", unit) for k in range(count)), len(table), read)

@@ -93,7 +93,7 @@ def _needed_loads(file: ForeignFile, loads: Entries) -> Entries:
 
 def _is_tachometer(channel: ForeignChannel) -> bool:
     """Whether a channel has the name of a tachometer, and is no speed in rpm or Hz."""
-    return bool(TACHOMETER.search(channel.name)) and unit_of(channel.unit, FREQUENCY) is None
+    return bool(TACHOMETER.search(channel.signal)) and unit_of(channel.unit, FREQUENCY) is None
 
 
 def _of_other_length(file: ForeignFile, time: ForeignChannel | None) -> list[ForeignChannel]:
@@ -184,10 +184,10 @@ def _guess_channels(
     free = list(geometry.channel_names) if geometry is not None else []
     mapped: dict[str, tuple[ForeignChannel, str]] = {}
     for channel in channels:
-        match = _nearest(channel.name, free)
+        match = _nearest(channel.signal, free)
         if match:
             free.remove(match)
-        mapped.setdefault(channel.name, (channel, match or (UNFINISHED if geometry is not None else channel.name)))
+        mapped.setdefault(channel.name, (channel, match or (UNFINISHED if geometry is not None else channel.signal)))
     return mapped, free
 
 
@@ -218,8 +218,8 @@ def _guess_loads(
     rest = []
     for channel in channels:
         # A structure `sweep_Fx` holds its force beside times and channels that are none.
-        member = re.split(r"[./]", channel.name)[-1]
-        words = re.split(r"[^A-Za-z]+", channel.name if FORCE_MEMBER.match(member) else member)
+        member = re.split(r"[./]", channel.signal)[-1]
+        words = re.split(r"[^A-Za-z]+", channel.signal if FORCE_MEMBER.match(member) else member)
         component = next((name for name in COMPONENTS if name.lower() in [word.lower() for word in words]), None)
         unit = unit_of(channel.unit, FORCE, MOMENT)
         if component and (unit or not channel.unit) and component not in [name for _, name in loads.values()]:
@@ -250,7 +250,7 @@ def _rotor_lines(tachometer: ForeignChannel | None, geometry: Geometry | None) -
 def _pulse_lines(tachometer: ForeignChannel | None, mark: str) -> Iterator[str]:
     """Yield how a revolution is found: by pulses, or by the angle that the unit or the name of the channel states."""
     unit = unit_of(tachometer.unit, ANGLE) if tachometer is not None else None
-    is_angle = tachometer is not None and not tachometer.unit and ANGLE_NAME.search(tachometer.name)
+    is_angle = tachometer is not None and not tachometer.unit and ANGLE_NAME.search(tachometer.signal)
     if unit is None and not is_angle:
         yield f"{mark}  pulses_per_revolution: 1"
         return

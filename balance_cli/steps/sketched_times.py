@@ -21,7 +21,7 @@ TIMES_READ = 4096
 
 def _last_name(channel: ForeignChannel) -> str:
     """The name in lower case, without those of the structures that hold it, numbers and unit."""
-    return re.sub(r"\[\d+\]$", "", channel.name.lower()).rpartition(".")[2]
+    return re.sub(r"\[\d+\]$", "", channel.signal.lower()).rpartition(".")[2]
 
 
 def time_channel(file: ForeignFile) -> ForeignChannel | None:

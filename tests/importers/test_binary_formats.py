@@ -216,3 +216,30 @@ def test_a_sketch_leaves_out_what_is_not_as_long_as_the_times(tmp_path):
     sketch = sketch_map([open_foreign(tmp_path / "sweep.mat")], None)
     assert list(yaml.safe_load(sketch)["channels"]) == ["force", "y"]
     assert "# not as long as `time`: freq, H\n" in sketch
+
+
+def _testlab(name, unit, samples):
+    values = {"values": samples, "quantity": {"label": unit}}
+    return {"x_values": {"increment": 1e-3}, "y_values": values, "function_record": {"name": name}}
+
+
+def _dspace(name, unit, samples):
+    return np.array([(name, unit, samples)], dtype=[("Name", object), ("Unit", object), ("Data", object)])
+
+
+@pytest.mark.parametrize("structure", [_testlab, _dspace])
+def test_a_sketch_calls_the_channels_of_structures_as_the_structures_do(tmp_path, structure):
+    """Testlab and dSPACE number their structures, and the names of the signals stand in them."""
+    samples = np.random.default_rng(5).standard_normal((4, 60))
+    signals = zip(("x.piezo", "z1.strain", "Fx", "Tacho"), ("V", "mV", "N", "V"), samples, strict=True)
+    content = {f"Signal_{k}": structure(*signal) for k, signal in enumerate(signals)}
+    scipy.io.savemat(tmp_path / "sweep-Fx.mat", content)
+    file = open_foreign(tmp_path / "sweep-Fx.mat")
+    sketched = yaml.safe_load(sketch_map([file], None))
+    stated = {entry["name"]: entry["unit"] for entry in sketched["channels"].values()}
+    assert stated == {"x.piezo": "V", "z1.strain": "mV"}
+    (load,) = sketched["loads"].items()
+    assert load[0].startswith("Signal_2.") and load[1] == {"component": "Fx", "unit": "N", "sign": 1}
+    assert sketched["rotor"]["channel"].startswith("Signal_3.")
+    first = next(group for group in file.groups if group.names[0] == next(iter(sketched["channels"])))
+    np.testing.assert_array_equal(first.read([0], 0, 60)[:, 0], samples[0])
