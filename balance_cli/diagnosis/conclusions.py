@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from balance_cli.campaign.rig.channel_groups import channel_groups
+from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
@@ -33,7 +33,7 @@ from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.percent import percent_text
-from balance_cli.model.effects.places import channels_at
+from balance_cli.model.effects.places import acts_on_loads, channels_at
 from balance_cli.model.effects.search_hints import CommonAlternative
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import PlacedEffect
@@ -207,12 +207,18 @@ def _alternatives(effect: PlacedEffect, equivalent: tuple[str, ...], geometry: G
     return equivalent, effect.effect.separated_by if equivalent else ""
 
 
-def alike_in_all(effect: PlacedEffect, geometry: Geometry) -> CommonAlternative | None:
-    """Return the effect that looks the same as this one in all channels of a geometry; None where it acts on some."""
+def alike_in_all(effect: PlacedEffect, geometry: Geometry, is_good: bool = True) -> CommonAlternative | None:
+    """Return the effect that looks the same as this one in all channels, or loads; None where it acts on some.
+
+    Where not all is explained (`is_good`), a torque meter that an effect of all cells leaves out proves nothing.
+    """
     alike = effect.effect.search.alike_in_all
-    if alike is None or set(channels_at(geometry, effect.where)) != set(geometry.channel_names):
+    if alike is None or effect.where == (ALL,):
+        return alike
+    if acts_on_loads(effect.effect.places, geometry):
         return None
-    return alike
+    left_out = [item for item in geometry.channels if item.name not in channels_at(geometry, effect.where)]
+    return None if any(is_good or item.cell_weights for item in left_out) else alike
 
 
 def _evidence(

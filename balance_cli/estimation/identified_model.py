@@ -96,6 +96,7 @@ class IdentifiedModel(ResultView):
     `consistency` is what the cross-checks said of the runs, None where nothing. `usual_noise` is that of the channels
     near half the sample rate, which the sweeps have in common; None where they have none. `gain_error`: what all
     channels may read too much or too little in wind-on runs, relative, of which a diagnosis could not tell the cause.
+    `channels_may_lag`: whether a lag of all exciters' loads may be one of all channels, in wind-on runs too.
     `band` [Hz]: that of the lines that were fitted; None where all were. `contradicted` {component: relative error}:
     known loads of check runs, which no fit has used, that the model misses by more than its sigma; None without any.
     """
@@ -117,6 +118,7 @@ class IdentifiedModel(ResultView):
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     usual_noise: tuple[UsualNoise, ...] | None = field(default=None, metadata={"omit_if_none": True})
     gain_error: float | None = field(default=None, metadata={"omit_if_none": True})
+    channels_may_lag: bool | None = field(default=None, metadata={"omit_if_none": True})
     band: tuple[float, float] | None = field(default=None, metadata={"omit_if_none": True})
     contradicted: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
 

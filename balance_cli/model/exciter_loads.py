@@ -1,10 +1,11 @@
 """The loads that act for those that the exciters' force cells record, and their derivatives.
 
-A force cell may read `gain` times its load, late by `delay`, and a `mass` beyond it moves with the hub, along its own
-axis or another one: with D the diagonal matrix of the masses along each component, summed over the exciters that are
-attached in a run, H the motion of the hub per unit load and C the cross-axis matrix,
+A force cell may read `gain` times its load, late by `delay`; a load may follow what is recorded with a lag a, b; and a
+`mass` beyond the force cell moves with the hub, along its own axis or another one: with D the diagonal matrix of the
+masses along each component, summed over the exciters that are attached in a run, H the motion of the hub per unit load
+and C the cross-axis matrix,
 
-    e = exp(s delay) / gain recorded load,        (1 + s^2 D H) v = e,        true load = C v
+    e = exp(s delay) / gain / (1 + s a + s^2 b) recorded load,        (1 + s^2 D H) v = e,        true load = C v
 
 In static runs weights act, for which there is the matrix of their misalignment alone.
 """
@@ -26,9 +27,9 @@ Mask = NDArray[np.bool_]
 
 
 def has_plain_exciters(equations: Equations) -> bool:
-    """Whether force cells read what acts beyond them: no gain, delay or mass at its present value."""
-    has_unit_gains = np.array_equal(equations.load_gain.value, np.ones(6))
-    return has_unit_gains and not np.any(equations.load_delay.value) and not np.any(equations.exciter_mass.value)
+    """Whether force cells read what acts beyond them: no gain, delay, lag or mass at its present value."""
+    others = (equations.load_delay, equations.load_lag, equations.exciter_mass)
+    return np.array_equal(equations.load_gain.value, np.ones(6)) and not any(np.any(part.value) for part in others)
 
 
 def true_load_matrices(
@@ -53,9 +54,17 @@ def _load_beyond_cell(system: System, solution: Solution, index: Index, attached
 
 
 def _cell_factor(equations: Equations, frequency: Array) -> ComplexArray:
-    """Load of a force cell over what it records, exp(s delay) / gain (K, 6)."""
+    """Load of a force cell over what it records (K, 6)."""
     s = 2j * np.pi * frequency[:, None]
-    return np.asarray(np.exp(s * equations.load_delay.value) / equations.load_gain.value)
+    factor = np.exp(s * equations.load_delay.value) / equations.load_gain.value
+    return np.asarray(factor / lag_denominator(equations, frequency))
+
+
+def lag_denominator(equations: Equations, frequency: Array) -> ComplexArray:
+    """Return what is recorded over the load that follows it, 1 + s a + s^2 b (K, 6), at frequencies (K,) [Hz]."""
+    s = 2j * np.pi * frequency[:, None]
+    first, second = equations.load_lag.value.T
+    return np.asarray(1.0 + s * first + s**2 * second)
 
 
 def _inertia_inverse(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
@@ -104,7 +113,9 @@ def _load_parameters(equations: Equations, is_static: bool) -> Mask:
         return np.ones_like(own)
     for part in (equations.load_gain, equations.load_delay):
         own = np.asarray(own | part.derivative.any(axis=1))
-    return np.asarray(own | equations.exciter_mass.derivative.any(axis=(1, 2)))
+    for part in (equations.load_lag, equations.exciter_mass):
+        own = np.asarray(own | part.derivative.any(axis=(1, 2)))
+    return own
 
 
 def _beyond_cell_derivatives(
@@ -112,12 +123,16 @@ def _beyond_cell_derivatives(
 ) -> ComplexArray | None:
     """Derivatives (K, 6, q) of the loads beyond the exciters' masses, by the parameters `own` (p,)."""
     equations = system.equations
-    gain, delay, mass = equations.load_gain, equations.load_delay, equations.exciter_mass
-    if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, mass)):
+    gain, delay, lag, mass = equations.load_gain, equations.load_delay, equations.load_lag, equations.exciter_mass
+    if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, lag, mass)):
         return None
     s = 2j * np.pi * solution.frequency[index][:, None, None]
     recorded = _cell_factor(equations, solution.frequency[index]) * loads
     change = recorded[:, :, None] * (s * delay.derivative[own].T - (gain.derivative[own] / gain.value).T)
+    if np.any(lag.derivative[own]):
+        first, second = np.moveaxis(lag.derivative[own], 2, 0)
+        denominator = lag_denominator(equations, solution.frequency[index])[:, :, None]
+        change = change - recorded[:, :, None] * (s * first.T + s**2 * second.T) / denominator
     if not (np.any(mass.value) or np.any(mass.derivative)):
         return np.asarray(change)
     inverse = _inertia_inverse(system, solution, index, attached)

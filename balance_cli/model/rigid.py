@@ -60,6 +60,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         weight_cross_axis=constant(np.eye(6), p),
         load_gain=constant(np.ones(6), p),
         load_delay=constant(np.zeros(6), p),
+        load_lag=constant(np.zeros((6, 2)), p),
         exciter_mass=constant(np.zeros((6, 6)), p),
         center=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
         freedom=tuple(free_index(geometry)),

@@ -13,6 +13,7 @@ from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.estimation.response_error import ResponseError
+from balance_cli.model.exciter_loads import lag_denominator
 from balance_cli.model.modes import overdamped_decay_rates
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
@@ -89,13 +90,16 @@ class ModelSource:
         return remove_nonlinear_contribution(run, self.system, self.model.geometry, live)
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
-        """Return J Cov J' with J = d(T f)/d(parameters), and the error of the gain of all channels."""
+        """Return J Cov J' with J = d(T f)/d(parameters), and the errors of the gain and of a lag of all channels."""
         solution = solve(self.system, frequency, spin)
         jacobian = output_jacobian(self.system, solution, np.arange(len(solution.frequency)), loads)
         J = np.concatenate([jacobian.real, jacobian.imag], axis=1)
         covariance = J @ self.parameter_covariance @ J.swapaxes(1, 2)
-        if self.model.gain_error:
-            off = self.model.gain_error * (response(self.system, solution) @ loads[:, :, None])
+        errors = [] if not self.model.gain_error else [self.model.gain_error * loads]
+        if self.model.channels_may_lag:
+            errors.append((lag_denominator(self.system.equations, solution.frequency) - 1.0) * loads)
+        for error in errors:
+            off = response(self.system, solution) @ error[:, :, None]
             off = np.concatenate([off.real, off.imag], axis=1)
             covariance = covariance + off @ off.swapaxes(1, 2)
         return np.asarray(covariance)

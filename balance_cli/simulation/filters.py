@@ -39,6 +39,23 @@ def delay_signal(signal: Array, delay: float, step: float) -> Array:
     return np.asarray(shifted)
 
 
+def derivative(signal: Array, step: float) -> Array:
+    """The derivative in time of a signal (n,), by the polynomial through the seven samples about each instant."""
+    weights = np.array([-1, 9, -45, 0, 45, -9, 1]) / (60.0 * step)
+    rate: Array = np.convolve(np.pad(signal, 3, mode="edge"), weights[::-1], mode="valid")
+    return rate
+
+
+def followed(signal: Array, terms: tuple[float, float], step: float) -> Array:
+    """The x (n,) of which x + a x' + b x'' is a signal (n,), with `terms` a [s] and b [s2], at rest before it."""
+    order = 2 if terms[1] > 0.0 else 1
+    if terms[order - 1] == 0.0:
+        return signal
+    poles = np.roots([*terms[:order][::-1], 1.0]).astype(complex)
+    rational = RationalFilter(np.zeros(0, complex), poles, 1.0 / terms[order - 1])
+    return np.asarray(signal[0] + _filtered(signal - signal[0], rational, step))
+
+
 def anti_alias_filter(declared: AnalogFilter) -> RationalFilter:
     """The analog Butterworth filter."""
     from scipy.signal import butter  # see `integrate.first_order_recursion`
@@ -51,11 +68,11 @@ def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, strid
     """Signals (n, s) through the declared filter, at every `stride`-th sample."""
     if declared is None:
         return signals[::stride].copy()
+    return np.stack([_filtered(column, anti_alias_filter(declared), step, stride) for column in signals.T], axis=1)
+
+
+def _filtered(signal: Array, rational: RationalFilter, step: float, stride: int = 1) -> Array:
+    """A signal (n,) through a filter, at every `stride`-th sample."""
     none = np.zeros(0, complex)
-    system = filter_outputs(
-        ModalSystem(none, none[:, None], none[None], np.ones((1, 1))), [anti_alias_filter(declared)]
-    )
-    filtered = np.empty((len(signals[::stride]), signals.shape[1]))
-    for i, column in enumerate(signals.T):
-        filtered[:, [i]] = system.response(column[:, None], step, stride)
-    return filtered
+    system = filter_outputs(ModalSystem(none, none[:, None], none[None], np.ones((1, 1))), [rational])
+    return np.asarray(system.response(signal[:, None], step, stride)[:, 0])

@@ -13,6 +13,7 @@ from studies.blind.records import COMPONENTS, Record, Truth
 from studies.blind.rigs import cross, mass_matrix
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,20 @@ def exciter_misalignment(truth: Truth, rng: np.random.Generator) -> Hidden:
     exciter[b, a] += fraction
     label = f"exciter-misalignment@{COMPONENTS[a]},{COMPONENTS[b]}"
     return Hidden(label, {"fraction": fraction}, replace(truth, exciter=exciter))
+
+
+def exciter_low_pass(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """What is recorded as load is the command, which all exciters follow like a low-pass of first or second order."""
+    band = np.log([0.5 * truth.rig.modes[0], 4 * truth.rig.modes[-1]])
+    natural = float(np.exp(rng.uniform(*band)))
+    ratio, order = rng.uniform(0.2, 0.8), int(rng.integers(1, 3))
+    cutoff = natural if order == 1 else natural / (2 * ratio)
+
+    def follows(f: Array) -> ComplexArray:
+        return np.asarray(1 / (1 + 1j * f / cutoff - (order == 2) * (f / natural) ** 2))
+
+    dynamics = dict.fromkeys(range(6), follows)
+    return Hidden("exciter-low-pass@all", {"cutoff": cutoff}, replace(truth, load_dynamics=dynamics))
 
 
 def added_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
@@ -337,6 +352,6 @@ LINEAR: tuple[Cause, ...] = (
 )
 NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
 # Most of them no effect describes.
-MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot)
+MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot, exciter_low_pass)
 """Effects that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -60,6 +60,8 @@ class Truth:
     """What becomes of the mechanics in the course of a record, so slowly that each instant is that of a steady rig."""
     exciter: Array = field(default_factory=lambda: np.eye(6))
     load_offset: Array = field(default_factory=lambda: np.zeros(6))
+    load_dynamics: dict[int, Callable[[Array], ComplexArray]] = field(default_factory=dict)
+    """Load of an exciter over what is recorded of it, by component."""
     dynamics: dict[int, Callable[[Array], ComplexArray]] = field(default_factory=dict)
     mix: dict[tuple[int, int], float] = field(default_factory=dict)
     offset: dict[int, float] = field(default_factory=dict)
@@ -133,7 +135,8 @@ def _convolved(truth: Truth, record: Record) -> tuple[Array, Array, int, int]:
     """Forces, recorded loads (fine), points before the record, oversampling."""
     time, before = _grid(truth, record, OVERSAMPLING)
     recorded = record.loads(time)
-    applied = (recorded - _offset(truth, record)) @ truth.exciter.T if record.kind != "wind" else recorded
+    acting = _followed(truth, recorded, time[1] - time[0])
+    applied = (acting - _offset(truth, record)) @ truth.exciter.T if record.kind != "wind" else recorded
     mechanics = truth.per_run(truth.mechanics, record)
     rate = truth.rig.sample_rate
     forces = linear_forces(mechanics, applied, rate * OVERSAMPLING, record.spin, rate)
@@ -141,6 +144,15 @@ def _convolved(truth: Truth, record: Record) -> tuple[Array, Array, int, int]:
         last = linear_forces(truth.at_the_end(mechanics), applied, rate * OVERSAMPLING, record.spin, rate)
         forces = forces + np.clip(time / record.duration, 0, 1)[:, None] * (last - forces)
     return forces, recorded, before, OVERSAMPLING
+
+
+def _followed(truth: Truth, recorded: Array, step: float) -> Array:
+    """The loads (m, 6) with which the exciters follow those recorded."""
+    loads = recorded.copy()
+    frequency = np.fft.rfftfreq(len(loads), step)
+    for i, response in truth.load_dynamics.items():
+        loads[:, i] = np.fft.irfft(np.fft.rfft(loads[:, i]) * response(frequency), len(loads))
+    return loads
 
 
 def _offset(truth: Truth, record: Record) -> Array:
@@ -160,7 +172,8 @@ def _integrated(truth: Truth, records: list[Record]) -> dict[str, tuple[Array, A
     for record in records:
         time, before = _grid(truth, record, 2 * oversampling, longest)
         loads = record.loads(time)
-        inputs.append(loads @ truth.exciter.T if record.kind != "wind" else loads)
+        acting = _followed(truth, loads, time[1] - time[0])
+        inputs.append(acting @ truth.exciter.T if record.kind != "wind" else loads)
         recorded.append(loads[::2])
     # The loads rise smoothly from zero where the records begin before their first sample.
     ramp = np.clip(np.arange(len(time)) / (0.3 * before * 2 * oversampling), 0, 1) ** 2

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from studies.blind.physics import Law, Mechanics, add_coordinate
 from studies.blind.records import Record, Truth
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 def relaxing_hose(truth: Truth, rng: np.random.Generator) -> Hidden:
@@ -159,6 +162,24 @@ def hardening_support(truth: Truth, rng: np.random.Generator) -> Hidden:
     return beside(replace(truth, mechanics=mechanics), law, "", {})
 
 
+def exciter_suspensions(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: commands are recorded as loads, and each exciter moves on a suspension of its own."""
+    dynamics: dict[int, Callable[[Array], ComplexArray]] = {}
+    band = np.log([0.5 * truth.rig.modes[0], 4 * truth.rig.modes[-1]])
+    for i in range(6):
+        low = float(np.exp(rng.uniform(*band)))
+        high = low * rng.uniform(1.05, 1.3)
+        d, e = rng.uniform(0.03, 0.1, 2)
+        dynamics[i] = partial(_suspended, low=low, high=high, ratios=(d, e))
+    return Hidden("", {}, replace(truth, load_dynamics=dynamics))
+
+
+def _suspended(f: Array, low: float, high: float, ratios: tuple[float, float]) -> ComplexArray:
+    """Force per command: none at the lower frequency, much at the higher one."""
+    zero, pole = (1 + 2j * d * f / f0 - (f / f0) ** 2 for d, f0 in zip(ratios, (low, high), strict=True))
+    return np.asarray(zero / pole)
+
+
 UNKNOWN: tuple[Cause, ...] = (
     relaxing_hose,
     bilinear_cell,
@@ -171,4 +192,5 @@ UNKNOWN: tuple[Cause, ...] = (
     missing_codes,
     stribeck_seal,
     hardening_support,
+    exciter_suspensions,
 )

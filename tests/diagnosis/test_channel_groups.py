@@ -123,6 +123,17 @@ def test_delays_of_all_channels_become_that_of_their_group(late):
     assert given is fit and none == ()
 
 
+def test_low_passes_of_all_exciters_become_one():
+    """Six exciters that follow their commands alike are one cause."""
+    spectra = spectra_of(effect("exciter-low-pass", "all", cutoff=200.0, natural_period=4e-3))
+    each = [
+        effect("exciter-low-pass", name, cutoff=200.0, natural_period=4e-3) for name in ("Fx", "Fy", "Fz", "Mx", "Mz")
+    ]
+    fit, batches = fit_with(spectra, *each)
+    merged, _ = merge_common_causes(fit, SelectionTask(batches, SETTINGS, lambda _: False), 5)
+    assert labels(merged.model.geometry) == {"exciter-low-pass@all"}
+
+
 def test_gains_that_differ_stay_as_many():
     gains = np.linspace(1.01, 1.03, len(PIEZO))
     each = [effect("channel-gain", name, gain=float(gain)) for name, gain in zip(PIEZO, gains, strict=True)]

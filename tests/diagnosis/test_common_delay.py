@@ -8,7 +8,7 @@ import pytest
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.common_delay import judge_common_delay
 from balance_cli.diagnosis.conclusions import alike_in_all
-from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED
+from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, FoundEffect
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.fitted_effects import FittedParameter
@@ -35,6 +35,9 @@ def strain_only() -> Geometry:
         (rotor_balance(), "time-delay", "strain", False),
         (rotor_balance(), "time-delay", "x.piezo", False),
         (rotor_balance(), "channel-gain", "strain", False),
+        (rotor_balance(), "exciter-low-pass", "all", True),
+        (rotor_balance(), "exciter-low-pass", "Fx", False),
+        (rotor_balance(), "low-pass", "all", True),
     ],
 )
 def test_a_delay_of_all_channels_may_be_one_of_the_loads(
@@ -58,11 +61,30 @@ def delayed_model(place: str) -> IdentifiedModel:
     return replace(model, parameters=replace(model.parameters, declared_sigma=free))
 
 
-@pytest.mark.parametrize(("place", "is_doubt"), [("strain", True), ("x.strain", False)])
-def test_a_delay_that_loads_may_have_is_in_sigma_of_wind_on_loads(place: str, is_doubt: bool) -> None:
-    """Loads 0.5 ms late made wind-on loads 7000 sigma off, of which nothing but the text of the diagnosis told."""
+def test_where_not_all_is_explained_an_effect_of_all_cells_may_be_one_of_the_loads() -> None:
+    """Exciters that lag differently were a low-pass of all cells, but not of the torque meter, beside a large error.
+
+    The sweeps of the exciter that had this lag were described; its wind-on loads were 11 sigma off, unflagged.
+    """
+    content = rotor_balance().model_dump(mode="json", exclude_none=True)
+    content["channels"] = [channel for channel in content["channels"] if "piezo" not in channel["name"]]
+    for geometry, is_common in ((rotor_balance(), False), (Geometry.model_validate(content), True)):
+        placed = place_effect("low-pass", ("strain",), geometry)
+        assert alike_in_all(placed, geometry) is None
+        assert (alike_in_all(placed, geometry, is_good=False) is not None) is is_common
+
+
+@pytest.mark.parametrize(
+    ("place", "is_doubt", "misfit"), [("strain", True, 1.0), ("x.strain", False, 1.0), ("strain", True, 400.0)]
+)
+def test_a_delay_that_loads_may_have_is_in_sigma_of_wind_on_loads(place: str, is_doubt: bool, misfit: float) -> None:
+    """Loads 0.5 ms late made wind-on loads 7000 sigma off, of which nothing but the text of the diagnosis told.
+
+    With a model that does not fit, whose variances are enlarged, the difference had been enlarged, too.
+    """
     effect = replace(delay_effect(), where=(place,), parameters=(FittedParameter("delay", -5e-4, 3e-8, "s"),))
     model = delayed_model(place)
+    model = replace(model, iterations=1, quality=replace(model.quality, chi2=misfit, dof=1.0))
     judged, updated = judge_common_delay(replace(diagnosis(EXPLAINED), effects=(effect,)), model)
     assert judged.verdict == (PARTLY_EXPLAINED if is_doubt else EXPLAINED)
     assert any(f"{effect.label} may as well be load-delay@all" in note for note in judged.notes) is is_doubt
@@ -71,3 +93,17 @@ def test_a_delay_that_loads_may_have_is_in_sigma_of_wind_on_loads(place: str, is
     read = load_response(ModelSource(model).system, f)[0] @ loads[0]
     turned = 2.0 * np.pi * 20.0 * 5e-4 * np.abs(np.concatenate([read.imag, read.real]))
     assert np.sqrt(np.diag(after - before)) == pytest.approx(turned * is_doubt, abs=1e-9)
+
+
+def test_a_low_pass_of_exciters_that_channels_may_have_is_in_sigma_of_wind_on_loads() -> None:
+    """Channels that lag instead read H T f of loads f: those of the model are H f, off by 1 - 1/H of themselves."""
+    declared = {"name": "exciter-low-pass", "where": ["all"], "parameters": {"cutoff": 30.0, "natural_period": 0.02}}
+    content = strain_only().model_dump(mode="json", exclude_none=True) | {"effects": [declared]}
+    model = identify(Spectra((), (), {}, {}), Geometry.model_validate(content), IdentifyOptions(method="computed"))
+    effect = FoundEffect("exciter-low-pass", ("all",), (), delay_effect().evidence)
+    judged, updated = judge_common_delay(replace(diagnosis(EXPLAINED), effects=(effect,)), model)
+    assert judged.verdict == PARTLY_EXPLAINED and "may as well be low-pass@all" in judged.notes[-1]
+    f, loads = np.array([20.0]), np.array([[0.0, 0.0, 3.0, 0.0, 4.0, 0.0]], complex)
+    before, after = (ModelSource(item).covariance(f, 0.0, loads)[0] for item in (model, updated))
+    off = (1j * 20.0 / 30.0 - (20.0 * 0.02) ** 2) * load_response(ModelSource(model).system, f)[0] @ loads[0]
+    assert np.sqrt(np.diag(after - before)) == pytest.approx(np.abs(np.concatenate([off.real, off.imag])), rel=1e-6)

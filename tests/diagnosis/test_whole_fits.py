@@ -30,12 +30,16 @@ def natural_frequencies():
     return modes(model.system(model.parameters.value)).frequency
 
 
-def lines_of(rig, delay=0.0):
-    """Lines of two sweeps of a rig, all channels late by `delay` [s]."""
+def runs_of(rig, delay=0.0):
+    """Two sweeps of a rig, all channels late by `delay` [s]."""
     model, rng = balance_model(rig), np.random.default_rng(5)
     frequency = np.linspace(0.1, 2.0, 120) * natural_frequencies().min()
-    runs = [model_lines(model, name, i, frequency, NOISE, rng, delay) for name, i in (("Fz", 2), ("My", 4))]
-    batches = stack_runs(runs, (), RIG.channel_names)
+    return [model_lines(model, name, i, frequency, NOISE, rng, delay) for name, i in (("Fz", 2), ("My", 4))]
+
+
+def lines_of(rig, delay=0.0):
+    """Lines of these sweeps."""
+    batches = stack_runs(runs_of(rig, delay), (), RIG.channel_names)
     return SearchLines(batches, batches)
 
 
@@ -61,6 +65,29 @@ def test_a_delay_that_damping_has_imitated_is_found(late):
     assert label in alternatives
     assert found.theta[found.model.parameters.index(f"{label}.delay")] == pytest.approx(delay, rel=2e-3)
     assert found.error < 3 * NOISE
+
+
+@pytest.mark.parametrize(("cutoff", "period"), [(0.5, 0.0), (0.7, 1.2), (1.0, 2.0)])
+def test_commands_in_place_of_loads_are_found(cutoff, period):
+    """All exciters follow them as a low-pass of first or second order, here in units of the lowest mode.
+
+    Of first order it was a low-pass of all channels, explained: wind-on loads were 150 and 320 sigma off, unflagged.
+    """
+    lowest = natural_frequencies().min()
+    cutoff, period = cutoff * lowest, period / lowest
+    runs = [replace(run, loads=run.loads * follows(run.frequency, cutoff, period)[:, None]) for run in runs_of(RIG)]
+    batches = stack_runs(runs, (), RIG.channel_names)
+    lines = SearchLines(batches, batches)
+    found, trials, _ = add_by_whole_fit(fitted_state(lines), lines, SETTINGS)
+    label = "exciter-low-pass@all"
+    assert [trial.label for trial in trials if trial.decision == "accepted"] == [label]
+    value = found.theta[[found.model.parameters.index(f"{label}.{name}") for name in ("1/cutoff", "natural_period^2")]]
+    assert value == pytest.approx([1.0 / cutoff, period**2], rel=4e-3, abs=4e-3 / lowest**2)
+
+
+def follows(frequency, cutoff, period):
+    """What is recorded over the load that follows it."""
+    return 1.0 + 1j * frequency / cutoff - (frequency * period) ** 2
 
 
 def test_the_effect_is_not_tried_where_it_is_excluded(late):

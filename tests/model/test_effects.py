@@ -182,6 +182,7 @@ TRUTHS = {
     "time-delay": truth("time-delay", ("z1.piezo",), delay=1e-6),
     "crosstalk": truth("crosstalk", ("x.strain", "z1.strain"), fraction=1e-3),
     "saturation": truth("saturation", ("x.strain",), plan=together(), compression=0.08),
+    "exciter-low-pass": truth("exciter-low-pass", ("Fy",), cutoff=2e4, natural_period=2e-4),
     "exciter-mass": truth("exciter-mass", ("Fz",), plan=campaign(), mass=0.02),
     "load-gain": truth("load-gain", ("Fx",), gain=1.0005),
     "load-delay": truth("load-delay", ("Fy",), delay=-2e-6),

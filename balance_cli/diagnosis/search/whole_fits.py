@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from balance_cli.campaign.rig.channel_groups import channel_groups
+from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
@@ -106,15 +106,16 @@ def _best_whole_fit(
 
 
 def _common_candidates(state: SearchState, settings: SearchSettings) -> Sequence[Candidate]:
-    """The effects that turn the phase of a channel, at the group of most channels."""
-    place = _widest_group(state.geometry)
-    return [
-        item
-        for item in candidates(state.geometry, excluded=settings.excluded)
-        if item.placed_effect.where == (place,)
-        and item.effect.search.channel_ratio is not None
-        and not item.effect.search.channel_ratio.sensitivity
-    ]
+    """The effects that turn the phase of a channel, at the group of most channels, or of the loads of all exciters."""
+    place, found = _widest_group(state.geometry), list[Candidate]()
+    for item in candidates(state.geometry, excluded=settings.excluded):
+        where, hints = item.placed_effect.where, item.effect.search
+        ratio, starts = hints.channel_ratio, hints.whole_fit_starts
+        if where == (place,) and ratio is not None and not ratio.sensitivity:
+            found.append(item)
+        elif where == (ALL,) and starts is not None:
+            found += [replace(item, starts=(start,)) for start in starts(state.geometry)]
+    return found
 
 
 def _large_bodies(state: SearchState, settings: SearchSettings) -> Sequence[Candidate]:

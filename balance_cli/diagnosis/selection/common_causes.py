@@ -1,10 +1,11 @@
-"""Common causes: one effect of a group of channels in place of the same effect in each of them."""
+"""Common causes: one effect of a group of channels, or of all exciters, in place of the same effect in each of them."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 
-from balance_cli.campaign.rig.channel_groups import channel_groups
+from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.trials import refit_trial
@@ -14,6 +15,7 @@ from balance_cli.diagnosis.selection.selection_task import SelectionTask
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.batch import Batch
+from balance_cli.model.effects.places import acts_on_loads
 from balance_cli.model.placed_effects import PlacedEffect, declare_effect, declared_effects, effect_label, place_effect
 
 
@@ -38,11 +40,13 @@ def merge_common_causes(fit: Fit, task: SelectionTask, number: int) -> tuple[Fit
 def _merge_proposals(fit: Fit, given_labels: Collection[str]) -> Iterator[tuple[str, list[PlacedEffect]]]:
     """Groups with the effects that they could replace: the same effect in most of their channels, and in no group."""
     geometry = fit.geometry
-    groups = channel_groups(geometry)
+    of_channels = channel_groups(geometry)
     effects = [effect for effect in declared_effects(geometry) if effect.label not in given_labels]
     for name in dict.fromkeys(effect.effect.name for effect in effects):
         same = [effect for effect in effects if effect.effect.name == name]
-        possible = same[0].effect.places(geometry)
+        places = same[0].effect.places
+        groups = {ALL: COMPONENTS} if acts_on_loads(places, geometry) else of_channels
+        possible = places(geometry)
         for group in sorted(groups, key=lambda key: -len(groups[key])):
             members = [effect for effect in same if len(effect.where) == 1 and effect.where[0] in groups[group]]
             is_new = (group,) in possible and (group,) not in {effect.where for effect in same}

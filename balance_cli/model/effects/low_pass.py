@@ -16,7 +16,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, channels_at, each_channel_or_group
-from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
+from balance_cli.model.effects.search_hints import ChannelRatio, CommonAlternative, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -58,6 +58,19 @@ RATIO = ChannelRatio(
 )
 """The parameter is the time constant tau [s]."""
 
+
+def _search_places(geometry: Geometry) -> tuple[Where, ...]:
+    """Without the group of all channels, whose low-pass the search finds as one of the exciters."""
+    every = set(geometry.channel_names)
+    return tuple(where for where in each_channel_or_group(geometry) if set(channels_at(geometry, where)) != every)
+
+
+LAGGING_LOADS = CommonAlternative(
+    "exciter-low-pass@all",
+    "Record a force cell between exciter and hub. A low-pass of all channels attenuates the harmonics of wind-on "
+    "loads, one of the exciters does not: if it is this, fit `exciter-low-pass@all`",
+)
+
 EFFECT = Effect(
     name="low-pass",
     summary="An amplifier or a long cable attenuates a channel at high frequencies.",
@@ -70,5 +83,5 @@ EFFECT = Effect(
     places=each_channel_or_group,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(channel_ratio=RATIO),
+    search=SearchHints(places=_search_places, channel_ratio=RATIO, alike_in_all=LAGGING_LOADS),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -94,6 +95,11 @@ def each_component_and_motion(_: Geometry) -> tuple[Where, ...]:
 def all_or_each_component(geometry: Geometry) -> tuple[Where, ...]:
     """All load components together, then one place per component."""
     return ((ALL,), *each_component(geometry))
+
+
+def acts_on_loads(places: Callable[[Geometry], tuple[Where, ...]], geometry: Geometry) -> bool:
+    """Whether these places are load components, whose group is `all`, too."""
+    return (COMPONENTS[0],) in places(geometry)
 
 
 def all_or_each_force(_: Geometry) -> tuple[Where, ...]:

@@ -107,7 +107,8 @@ class SearchHints:
     - `point_mass`: the effect is a point mass, which can be scored at all positions at once.
     - `tone`: the effect is a tone, whose frequency is searched over the lobes of the spectrum.
     - `on_request`: the search tries it only where a user asks for it.
-    - `alike_in_all`: the effect that looks the same where this one acts on all channels.
+    - `alike_in_all`: the effect that looks the same where this one acts on all channels, or on all exciters.
+    - `whole_fit_starts(geometry)`: at `all` exciters it turns the phase of all channels; whole fits begin here.
     - `in_every_set_up`: each set-up of the exciters may have it, with a value of its own, so that all places are tried
       at once. The first name of a place is the component excited, the last one what it acts on.
     """
@@ -125,5 +126,6 @@ class SearchHints:
     point_mass: PointMassParameters | None = None
     tone: ToneParameters | None = None
     alike_in_all: CommonAlternative | None = None
+    whole_fit_starts: Callable[[Geometry], tuple[Start, ...]] | None = None
     on_request: bool = False
     in_every_set_up: bool = False

@@ -125,7 +125,8 @@ class Equations:
     - `extra_readings` (e, n): forces that the channels of a spring read in addition to its own.
     - `exciter_cross_axis` (6, 6) transforms the loads that exciters apply, as measured, to true ones, and
       `weight_cross_axis` (6, 6) those of static runs.
-    - The exciters' force cells read `load_gain` (6,) times their loads, late by `load_delay` (6,) [s]; while an
+    - The exciters' force cells read `load_gain` (6,) times their loads, late by `load_delay` (6,) [s]; the loads follow
+      what is recorded by the terms `load_lag` (6, 2) [s, s2] of s and s^2 in a denominator; while an
       exciter is attached, its row of `exciter_mass` (6, 6) [kg, kg m2] moves with the hub along the six components
       (see `model.exciter_loads`).
     - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
@@ -155,6 +156,7 @@ class Equations:
     weight_cross_axis: Dual
     load_gain: Dual
     load_delay: Dual
+    load_lag: Dual
     exciter_mass: Dual
     center: Dual
     freedom: tuple[int, ...]

@@ -20,6 +20,7 @@ from balance_cli.simulation.extensions.cells import (
     ViscousDamping,
 )
 from balance_cli.simulation.extensions.loads import (
+    ExciterLowPass,
     ExciterMass,
     ExciterMisalignment,
     ExciterPosition,
@@ -79,6 +80,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     QuadraticDamping,
     AsymmetricDamping,
     ExciterMass,
+    ExciterLowPass,
     ExciterMisalignment,
     ExciterPosition,
     WeightMisalignment,

@@ -112,6 +112,44 @@ class LoadDelay(Extension):
 
 
 @dataclass(frozen=True)
+class ExciterLowPass(Extension):
+    """The load of the exciter follows what is recorded like a low-pass, of second order where it has a natural period.
+
+    `cutoff` [Hz] is that of the first order, `natural_period` [s] that of free oscillations.
+    """
+
+    name: ClassVar[str] = "exciter-low-pass"
+    cutoff: float = np.inf
+    natural_period: float = 0.0
+
+    @property
+    def _terms(self) -> tuple[float, float]:
+        """The factors of the load's first and second derivative [s, s2] in what is recorded."""
+        return 0.5 / (np.pi * self.cutoff), (0.5 * self.natural_period / np.pi) ** 2
+
+    def recorded_loads(self, loads: Array, kind: str, step: float | None = None) -> Array:
+        """The readings: the loads, and their derivatives in time."""
+        if step is None or kind not in KINDS_WITH_EXCITERS:
+            return loads
+        first, second = self._terms
+        recorded = loads.copy()
+        for index in self.places(COMPONENTS):
+            rate = filters.derivative(loads[:, index], step)
+            recorded[:, index] += first * rate + second * filters.derivative(rate, step)
+        return recorded
+
+    def loads_from_recorded(self, recorded: Array, kind: str, step: float) -> Array:
+        """The loads of which these are the readings."""
+        if kind not in KINDS_WITH_EXCITERS:
+            return recorded
+        first, second = self._terms
+        loads = recorded.copy()
+        for index in self.places(COMPONENTS):
+            loads[:, index] = filters.followed(recorded[:, index], (first, second), step)
+        return loads
+
+
+@dataclass(frozen=True)
 class ExciterMass(Extension):
     """A `mass` [kg], along a moment a moment of inertia [kg m2], moves with the hub while its exciter is attached.
 
