@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.math_model import CalibrationModel
-from balance_cli.reduction.flags import EXTRAPOLATED, NO_WEIGHT, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
+from balance_cli.reduction.flags import (
+    EXTRAPOLATED,
+    MODEL_CONTRADICTED,
+    NO_WEIGHT,
+    NO_ZERO,
+    REDUNDANCY,
+    SEPARATOR,
+    UNTESTED,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,7 +35,8 @@ class RowTests:
 
     `misfit` (n,): its redundant channels contradict; `unknown_weight` (n,): it has another attitude than its zero.
     `no_zero`: the zero is that of the calibration; `untested` (n, k): loads that no redundant sensor tests.
-    `untested_names` (n): components that rest on products of loads that the calibration could not tell.
+    `untested_names` (n): components that rest on products of loads that the calibration could not tell. `doubted`
+    (n, k): loads that depend on which of its load series is right.
     """
 
     misfit: NDArray[np.bool_]
@@ -35,14 +44,15 @@ class RowTests:
     no_zero: bool
     untested: NDArray[np.bool_]
     untested_names: Sequence[tuple[str, ...]]
+    doubted: NDArray[np.bool_]
 
 
 def point_flags(model: CalibrationModel, loads: Array, covariance: Array, tests: RowTests) -> tuple[str, ...]:
     """Flags (n,) of loads (n, k) with covariance (n, k, k)."""
     flags = []
     words_of_untested = [_untested_words(model.components, row) for row in tests.untested]
-    rows = zip(loads, covariance, tests.misfit, tests.unknown_weight, tests.untested_names, strict=True)
-    for (row, S, misfits, unknown, names), untested in zip(rows, words_of_untested, strict=True):
+    rows = zip(loads, covariance, tests.misfit, tests.unknown_weight, tests.untested_names, tests.doubted, strict=True)
+    for (row, S, misfits, unknown, names, doubted), untested in zip(rows, words_of_untested, strict=True):
         extrapolated = {*_extrapolated(model, row, S), *names} if np.isfinite(row).all() else set()
         outside = [name for name in model.components if name in extrapolated]
         words = (
@@ -51,6 +61,7 @@ def point_flags(model: CalibrationModel, loads: Array, covariance: Array, tests:
             untested,
             REDUNDANCY if misfits else "",
             f"{EXTRAPOLATED} {' '.join(outside)}" if outside else "",
+            " ".join([MODEL_CONTRADICTED, *np.array(model.components)[doubted]]) if doubted.any() else "",
             "" if np.isfinite(row).all() else NOT_CONVERGED,
         )
         flags.append(SEPARATOR.join(word for word in words if word))

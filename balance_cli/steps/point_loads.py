@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.doubted_loads import add_doubted_change
 from balance_cli.calibration.math_model import CalibrationModel, zero_scatter
 from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.result import Calibration
@@ -35,6 +36,7 @@ from balance_cli.steps.point_zeros import CALIBRATION_ZERO, PointReadings, Subtr
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+INTERVAL_SIGMAS = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
 CONVERGENCE_SHARE = 1e-6
 """Of the calibrated range, within which the model must reproduce the readings: far below any noise."""
 
@@ -105,22 +107,22 @@ def point_loads(
     if direct is None:
         covariance *= _widening(model) * model.model.weight_widening(model.rows)
     covariance = covariance + _hysteresis_variance(calibration, model) + weight_covariance(readings, calibration, zero)
-    quantile = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)
-    unknown = ~converged
-    loads[unknown], covariance[unknown] = np.nan, np.nan
+    covariance, doubted = add_doubted_change(calibration.all_trims, safe, covariance)
+    loads[~converged], covariance[~converged] = np.nan, np.nan
     tests = RowTests(
         misfit=redundancy > limit,
         unknown_weight=rows_of_unknown_weight(readings, calibration, zero),
         no_zero=subtracted.words == CALIBRATION_ZERO,
         untested=untested,
         untested_names=untested_names,
+        doubted=doubted,
     )
     return PointLoads(
         run=readings.run,
         components=model.model.components,
         loads=loads - weight(readings.gravity),
         covariance=covariance,
-        interval=np.asarray(quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
+        interval=np.asarray(INTERVAL_SIGMAS * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
         flags=point_flags(model.model, loads, covariance, tests),
         redundancy=redundancy,
         zero=subtracted.words,

@@ -35,6 +35,7 @@ from balance_cli.reduction.response_sources import (
 from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
+from balance_cli.reduction.series_doubt import add_series_doubt
 from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -95,6 +96,7 @@ def reduce_record(
     else:
         mean_solution = _mean_loads(record, calibration, zero)
         mean_solution = add_resting_forces(mean_solution, record, calibration, source, zero is not None)
+        mean_solution = add_series_doubt(mean_solution, calibration)
     mean_solution = add_gain_error(mean_solution, source)
     response = harmonic_response(record, geometry, source)
     problem = load_problem(record, geometry, source, response)
