@@ -18,7 +18,7 @@ from balance_cli.steps.cross_checks import cross_check, keep_findings
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
 from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
 from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require_known_loads
-from balance_cli.steps.hold_out_model_error import add_hold_out_error
+from balance_cli.steps.hold_out_model_error import add_hold_out_error, note_contradicted_loads
 
 
 @check_arguments
@@ -66,4 +66,5 @@ def diagnose(
     errors = {run.name: hold_out_errors(run, model, updated) for run in task.hold_out}
     updated = add_hold_out_error(updated, task.hold_out, errors, settings)
     diagnosis = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
+    diagnosis = note_contradicted_loads(diagnosis, updated)
     return keep_findings(diagnosis, findings), keep_findings(updated, findings)

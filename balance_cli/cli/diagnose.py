@@ -221,7 +221,8 @@ def _judge_by_hold_out(
     errors: dict[str, HoldOut],
 ) -> tuple[Diagnosis, IdentifiedModel]:
     from balance_cli.diagnosis.conclusions import judge_hold_out
-    from balance_cli.steps.hold_out_model_error import add_hold_out_error
+    from balance_cli.steps.hold_out_model_error import add_hold_out_error, note_contradicted_loads
 
     judged = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
-    return judged, add_hold_out_error(updated, hold_out_runs, errors)
+    tested = add_hold_out_error(updated, hold_out_runs, errors)
+    return note_contradicted_loads(judged, tested), tested

@@ -10,10 +10,11 @@ import numpy as np
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.conclusions import is_described
-from balance_cli.diagnosis.result import HoldOut
+from balance_cli.diagnosis.result import Diagnosis, HoldOut
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.response_error import ResponseError
+from balance_cli.io.percent import percent_text
 from balance_cli.reduction.check_contradiction import SIGNIFICANT
 from balance_cli.reduction.harmonic_loads import harmonic_response
 from balance_cli.reduction.model_sources import model_source
@@ -44,6 +45,15 @@ def add_hold_out_error(
     for run in undescribed:
         error = _response_error(run, model).combine(error)
     return replace(model, response_error=error, contradicted=contradicted or None)
+
+
+def note_contradicted_loads(diagnosis: Diagnosis, model: IdentifiedModel) -> Diagnosis:
+    """Return the diagnosis with a note on the components that check runs contradict in the updated model."""
+    if not model.contradicted:
+        return diagnosis
+    errors = ", ".join(f"{name} by {percent_text(error, 3)} %" for name, error in model.contradicted.items())
+    note = f"check runs contradict loads by the updated model, {errors}: `reduce` flags these loads in all runs"
+    return replace(diagnosis, notes=(*diagnosis.notes, note))
 
 
 def contradicted_loads(errors: Iterable[HoldOut]) -> dict[str, float]:

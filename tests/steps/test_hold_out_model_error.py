@@ -12,9 +12,10 @@ from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
 from balance_cli.simulation.extensions.library import extension
 from balance_cli.steps.hold_out import hold_out_errors
-from balance_cli.steps.hold_out_model_error import add_hold_out_error
+from balance_cli.steps.hold_out_model_error import add_hold_out_error, note_contradicted_loads
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run
+from tests.support.diagnosis_content import diagnosis
 from tests.support.other_rigs import other_rig, short_campaign
 
 GEOMETRY = other_rig("A")
@@ -80,6 +81,8 @@ def test_components_that_check_runs_contradict_are_flagged_in_other_runs(model):
     tested = with_check_runs(model, runs)
     assert tested.contradicted is not None and 0 < len(tested.contradicted) < 3
     assert set(tested.contradicted) <= {"Mx", "My"} and min(tested.contradicted.values()) > 0.1
+    noted = note_contradicted_loads(diagnosis(), tested)
+    assert any("check runs contradict loads" in note for note in noted.notes)
     flagged, plain = (reduce_run(runs[2], GEOMETRY, None, model_source(each)) for each in (tested, model))
     for name, *flags in zip(flagged.components, *flagged.flags[1:], strict=True):
         assert all("model contradicted" in flag for flag in flags) or name not in tested.contradicted
