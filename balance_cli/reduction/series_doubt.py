@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from balance_cli.calibration.doubted_loads import add_doubted_change, describe_doubt
 from balance_cli.calibration.result import Calibration
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, join_flags
 from balance_cli.reduction.mean_loads import MeanLoads
@@ -17,6 +16,8 @@ def add_series_doubt(loads: MeanLoads, calibration: Calibration) -> MeanLoads:
     all_trims = calibration.all_trims
     if all_trims is None or not all_trims.suspect_series:
         return loads
+    from balance_cli.calibration.doubted_loads import add_doubted_change, describe_doubt
+
     total = np.zeros(len(all_trims.model.components))
     at = [all_trims.model.components.index(name) for name in loads.components]
     total[at] = np.nan_to_num(loads.loads)
