@@ -27,7 +27,6 @@ from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.harmonic_residual import without_harmonics
 from balance_cli.signals.rotor.harmonics import (
     BELOW_NYQUIST,
-    FEWEST_REVOLUTIONS,
     FITTED_HARMONICS,
     Harmonics,
     estimate_harmonics,
@@ -37,6 +36,7 @@ from balance_cli.signals.rotor.other_rotors import ConfoundedLine, other_azimuth
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
 from balance_cli.signals.rotor.pulse_error import OrderedRecord, judge_pattern
 from balance_cli.signals.rotor.pulse_pattern import PulsePattern, pulse_pattern, without_pattern
+from balance_cli.signals.rotor.record_length import FEWEST_REVOLUTIONS, require_revolutions
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.signals.transient_end import find_transient_end
 
@@ -114,9 +114,7 @@ def rotor_record(
     for contradiction in pulse_faults(run, None if geometry.rotor is None else geometry.rotor.speed):
         raise contradiction
     azimuth = rotor_azimuth(run, rotor)
-    if azimuth.turns < FEWEST_REVOLUTIONS:
-        fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, run.file, "rotor/pulse_times", "Record more revolutions")
+    require_revolutions(run, azimuth)
     confounded: tuple[ConfoundedLine, ...] = ()
     if remove_other_rotors:
         alone, _ = without_other_rotors(run, azimuth, rotor, max_harmonic, 0)

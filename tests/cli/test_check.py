@@ -174,3 +174,19 @@ def test_a_file_without_a_format_is_what_its_keys_say(tmp_path: Path, text: str,
     path.write_text(text)
     finding = found(path)[str(path)]
     assert finding["kind"] == kind and [fault["place"] for fault in finding["faults"]][:1] == ([place] if place else [])
+
+
+@pytest.mark.parametrize(("turns", "said"), [(9, True), (10, False)])
+def test_a_record_of_fewer_revolutions_than_reduce_needs(tmp_path: Path, turns: int, said: bool) -> None:
+    path = tmp_path / "wind-1.h5"
+    shutil.copy(WIND, path)
+    with h5py.File(path, "r+") as file:
+        pulses = file["rotor/pulse_times"][: turns + 1]
+        samples = int(np.ceil(pulses[-1] * file.attrs["sample_rate"])) + 1
+        for name, values in (("channels", file["channels"]), ("rotor/pulse_times", pulses)):
+            attributes, kept = dict(file[name].attrs), np.asarray(values)[:samples]
+            del file[name]
+            file[name] = kept
+            file[name].attrs.update(attributes)
+    fault = ("rotor/pulse_times", f"holds {turns} revolutions; at least 10 are needed")
+    assert faults(path) == ([fault] if said else [])

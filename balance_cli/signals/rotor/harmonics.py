@@ -28,13 +28,12 @@ from balance_cli.signals.rotor.harmonic_noise import (
 from balance_cli.signals.rotor.joint_regression import JointRegression, complex_amplitudes, harmonic_products
 from balance_cli.signals.rotor.line_sums import LineSums, trigonometric_basis
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
+from balance_cli.signals.rotor.record_length import FEWEST_REVOLUTIONS
 from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-FEWEST_REVOLUTIONS = 10
-"""Revolutions of the shortest interval; fewer leave too few lines between two harmonics for the noise."""
 FITTED_HARMONICS = 24
 """Least number of harmonics in the regression, where the sample rate permits: those left out would leak."""
 BELOW_NYQUIST = 0.98
