@@ -44,6 +44,10 @@ def doubtful_units(trim: TrimCalibration, units: tuple[str, ...]) -> Iterator[st
         ratios = response[j] / response[same_unit]
         if is_rated or len(same_unit) < 2 or not (np.all(ratios > UNIT_RATIO) or np.all(ratios < 1.0 / UNIT_RATIO)):
             continue
+        # A wrong unit leaves the signal at the largest load as it is; noise of some channels (friction) changes that.
+        signals = ratios * trim.calibrated_range[j] / trim.calibrated_range[same_unit]
+        if not np.all(np.abs(np.log(signals)) < 0.5 * np.abs(np.log(ratios))):
+            continue
         ratio = float(np.median(ratios))
         way = "larger" if ratio > 1.0 else "smaller"
         others = ", ".join(trim.components[i] for i in same_unit)
