@@ -1,6 +1,7 @@
 """A real mechanism with dry friction: the EMPS axis as a balance, at two time scales."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ def test_the_axis_is_the_same_at_another_time_scale(time_factor):
     assert np.abs(block.loads[:, 0] - block.channels[:, 0]).max() > 20.0
 
 
+@cache
 def spectra_and_geometry(time_factor):
     emps = load_tool("emps")
     geometry = geometry_from_dict(emps.geometry_content(time_factor))

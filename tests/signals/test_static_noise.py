@@ -1,5 +1,7 @@
 """Noise of static rows from differences along the loading: right whatever smooth misfit the straight line has."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -57,6 +59,7 @@ def run_of(loads: np.ndarray, channels: np.ndarray) -> Run:
     return Run("static", "rig", "static", CHANNELS, len(loads), MemorySource(channels, loads), trim="bare")
 
 
+@cache
 def estimates(kind: str, load_noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(8)
     C0 = 1e-3 * rng.normal(size=(4, 6))

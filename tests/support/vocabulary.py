@@ -6,7 +6,7 @@ import ast
 import io
 import re
 import tokenize
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -167,15 +167,18 @@ def phrase_offences(text: str) -> Iterator[tuple[int, str, str]]:
 def offences_of_code(path: Path) -> Iterator[str]:
     """All offences of a Python file: identifiers, then prose in comments and strings."""
     source = (ROOT / path).read_text(encoding="utf-8")
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.NAME and (better := identifier_offence(token.string, path)):
+    tokens = list(tokenize.generate_tokens(io.StringIO(source).readline))
+    names = [token for token in tokens if token.type == tokenize.NAME]
+    offences = {name: identifier_offence(name, path) for name in {token.string for token in names}}
+    for token in names:
+        if better := offences[token.string]:
             yield f"{path}:{token.start[0]}: `{token.string}`: {better}"
-    for start, text in _prose_of_code(source):
+    for start, text in _prose_of_code(source, [token for token in tokens if token.type == tokenize.COMMENT]):
         for line, words, better in phrase_offences(text):
             yield f"{path}:{start + line}: `{words}`: {better}"
 
 
-def _prose_of_code(source: str) -> Iterator[tuple[int, str]]:
+def _prose_of_code(source: str, comments: Sequence[tokenize.TokenInfo]) -> Iterator[tuple[int, str]]:
     """(first line, text) of strings that hold more than one word, and of blocks of comments."""
     for node in ast.walk(ast.parse(source)):
         # A string of a single word is a key, a stored name or an option, not prose.
@@ -183,13 +186,12 @@ def _prose_of_code(source: str) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value
     block: list[str] = []
     start = 0
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            if block and token.start[0] != start + len(block):
-                yield start, "\n".join(block)
-                block = []
-            start = start if block else token.start[0]
-            block.append(token.string)
+    for token in comments:
+        if block and token.start[0] != start + len(block):
+            yield start, "\n".join(block)
+            block = []
+        start = start if block else token.start[0]
+        block.append(token.string)
     if block:
         yield start, "\n".join(block)
 
