@@ -26,7 +26,7 @@ from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
 from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm, score_again
 from balance_cli.diagnosis.selection.effect_selection import keep_effects, narrow_places, select_effects
-from balance_cli.diagnosis.selection.fit import Fit, continue_fit, fit_all_lines
+from balance_cli.diagnosis.selection.fit import Fit, approach_on_some_lines, continue_fit, fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
 from balance_cli.diagnosis.selection.selection_task import SelectionTask
@@ -220,7 +220,8 @@ def _fit_and_narrow(
     Where the weights carry a model error (not `noise_alone`), they may hide what a motion explains.
     """
     trials: tuple[Trial, ...] = ()
-    fit = fit_all_lines(state, batches, settings.fit, settings.fit.steps_before_valley)
+    start = approach_on_some_lines(state, batches, settings.fit)
+    fit = fit_all_lines(start, batches, settings.fit, settings.fit.steps_before_valley)
     if noise_alone and not fit.minimum.converged:
         fit, trials = narrow_places(fit, batches, number, settings)
     if not fit.minimum.converged:

@@ -9,9 +9,10 @@ import pytest
 from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.score_statistics import apply_score_step, scores
-from balance_cli.diagnosis.selection.fit import fit_all_lines, fit_contenders
+from balance_cli.diagnosis.selection.fit import approach_on_some_lines, fit_all_lines, fit_contenders
 from balance_cli.diagnosis.selection.mains_frequency import frequency_grid
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects
@@ -69,6 +70,17 @@ def test_none_is_finished_above_the_limit(late_channel):
     rig, label, batches = late_channel
     fits = fit_contenders([started(rig, label)], batches, 0.0, 6.0, HURRIED)
     assert fits[0].minimum.iterations == 1
+
+
+def test_a_fit_begins_on_some_lines_and_ends_where_that_of_all_does(late_channel):
+    rig, label, batches = late_channel
+    start, count = started(rig, label), sum(len(batch.lines.index) for batch in batches)
+    near = approach_on_some_lines(start, batches, replace(SETTINGS.fit, coarse_lines=count // 3))
+    whole, rest = (fit_all_lines(one, batches, SETTINGS.fit) for one in (start, near))
+    assert penalized_chi2(near, batches) - whole.chi2 < 0.05 * (penalized_chi2(start, batches) - whole.chi2)
+    assert rest.minimum.iterations <= whole.minimum.iterations
+    assert rest.chi2 == pytest.approx(whole.chi2, abs=SETTINGS.fit.comparison_tolerance)
+    assert approach_on_some_lines(start, batches, replace(SETTINGS.fit, coarse_lines=count)) is start
 
 
 def test_a_step_of_a_score_leaves_no_parameter_beyond_its_bound(late_channel):

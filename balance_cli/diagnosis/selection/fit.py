@@ -7,9 +7,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from balance_cli.diagnosis.fit_settings import FitSettings
-from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.batch import Batch, select_lines
 from balance_cli.estimation.levenberg_marquardt import Minimum, predicted_decrease
 from balance_cli.estimation.maximum_likelihood import ITERATIONS, fit_maximum_likelihood, take_first_steps
 from balance_cli.model.balance import BalanceModel, Estimate
@@ -58,6 +59,26 @@ def fit_all_lines(
     model, tolerance, deadline = start.model, settings.comparison_tolerance, settings.deadline
     minimum = fit_maximum_likelihood(model, batches, start.theta, iterations, tolerance, deadline=deadline)
     return Fit.at_minimum(model, minimum)
+
+
+def approach_on_some_lines(start: Estimate, batches: Sequence[Batch], settings: FitSettings) -> Estimate:
+    """Return the end of a few steps from a start on every n-th line: a fit of all lines then takes few itself.
+
+    It is the start itself where there are not many lines.
+    """
+    stride = sum(len(batch.lines.index) for batch in batches) // settings.coarse_lines
+    if stride < 2:
+        return start
+    some = [select_lines(batch, _every_nth_line(batch, stride)) for batch in batches]
+    steps, tolerance = settings.steps_before_valley, settings.min_step_gain
+    minimum = fit_maximum_likelihood(start.model, some, start.theta, steps, tolerance, deadline=settings.deadline)
+    return start.model.at(minimum.theta)
+
+
+def _every_nth_line(batch: Batch, stride: int) -> NDArray[np.bool_]:
+    """Every n-th line, but all of static runs and all means, whose information no other line has."""
+    every_nth = np.arange(len(batch.lines.index)) % stride == 0
+    return np.asarray(every_nth | batch.is_static | (batch.line_frequency == 0))
 
 
 def continue_fit(fit: Fit, batches: Sequence[Batch], settings: FitSettings) -> Fit:
