@@ -68,7 +68,10 @@ def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, strid
     """Signals (n, s) through the declared filter, at every `stride`-th sample."""
     if declared is None:
         return signals[::stride].copy()
-    return np.stack([_filtered(column, anti_alias_filter(declared), step, stride) for column in signals.T], axis=1)
+    filtered = np.empty((len(signals[::stride]), signals.shape[1]))
+    for i, column in enumerate(signals.T):
+        filtered[:, i] = _filtered(column, anti_alias_filter(declared), step, stride)
+    return filtered
 
 
 def _filtered(signal: Array, rational: RationalFilter, step: float, stride: int = 1) -> Array:

@@ -93,14 +93,10 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
     Where too few channels move in it, a check or wind `record` shows whether it is the converter that is coarse. Raises
     UserError for several runs, for a run of another kind, and where too few channels of means can be used.
     """
-    if len(zeros) > 1:
-        names = ", ".join(run.name for run in zeros)
-        raise UserError(f"more than one zero run: {names}", "RUN...", remedy="Choose one with --zero")
+    _require_one_zero(zeros)
     if not zeros:
         return None
     run, place = zeros[0], zeros[0].file
-    if run.kind != "zero":
-        raise UserError(f"is a {run.kind} run", place, "attribute `kind`", "Give a wind-off record of kind `zero`")
     health = live_channels(run, calibration.geometry)
     dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
     live = [name for name in dc_channels if name in health.live]
@@ -122,8 +118,20 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
 
 def compared_zero(zeros: Sequence[Run], calibration: Calibration, record: Run) -> tuple[ZeroRecord | None, str]:
     """Return `zero_reference`, and a warning in its place where a check or wind `record` shows it to be loaded."""
+    _require_one_zero(zeros)
     loaded = loaded_zero_warning(zeros, record)
     return (None, loaded) if loaded else (zero_reference(zeros, calibration, record), "")
+
+
+def _require_one_zero(zeros: Sequence[Run]) -> None:
+    """Raise UserError for several runs, and for a run of another kind."""
+    if len(zeros) > 1:
+        names = ", ".join(run.name for run in zeros)
+        raise UserError(f"more than one zero run: {names}", "RUN...", remedy="Choose one with --zero")
+    for run in zeros:
+        if run.kind != "zero":
+            remedy = "Give a wind-off record of kind `zero`"
+            raise UserError(f"is a {run.kind} run", run.file, "attribute `kind`", remedy)
 
 
 def loaded_zero_warning(zeros: Sequence[Run], record: Run) -> str:
