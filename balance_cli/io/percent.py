@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 
 def percent_text(ratio: float, digits: int = 2) -> str:
     """Return a ratio in percent with the given number of significant digits, without an exponent below a million.
@@ -10,3 +12,12 @@ def percent_text(ratio: float, digits: int = 2) -> str:
     ('110', '1.2', '1300')
     """
     return f"{float(f'{100 * ratio:.{digits}g}'):.6g}"
+
+
+def named_percents(ratios: Mapping[str, float]) -> str:
+    """Return ratios in percent with their names, three significant digits each.
+
+    >>> named_percents({"Fx": 0.1201, "My": 0.2614})
+    'Fx by 12 %, My by 26.1 %'
+    """
+    return ", ".join(f"{name} by {percent_text(ratio, 3)} %" for name, ratio in ratios.items())

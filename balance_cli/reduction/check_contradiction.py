@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.io.percent import percent_text
+from balance_cli.io.percent import named_percents, percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, NO_ZERO
 from balance_cli.reduction.model_sources import ModelSource
@@ -50,13 +50,13 @@ class CheckContradiction:
     @property
     def sentence(self) -> str:
         """The finding in words."""
-        parts = [f"{name} by {percent_text(error, 3)} %" for name, error in self.components.items()]
+        parts = [named_percents(self.components)] if self.components else []
         none_applied = "of the largest applied force, where none was applied"
         parts += [f"{name} by {percent_text(size, 3)} % {none_applied}" for name, size in self.interactions.items()]
         errors = ", ".join(parts)
         cause = self.wrong_channels or "the response lacks something there"
         dynamic = f"reduced loads differ from the known loads of {self.run}, {errors}: {cause}"
-        means = ", ".join(f"{name} by {percent_text(error, 3)} %" for name, error in self.means.items())
+        means = named_percents(self.means)
         static = (
             f"reduced mean loads differ from the stated ones of {self.run}, {means}: the zero record, the "
             "static matrix or the force cell is wrong there"
@@ -92,7 +92,7 @@ def flag_by_held_out_runs(loads: RunLoads, source: ResponseSource) -> RunLoads:
     contradicted = source.model.contradicted if isinstance(source, ModelSource) else None
     if not contradicted:
         return loads
-    errors = ", ".join(f"{name} by {percent_text(error, 3)} %" for name, error in contradicted.items())
+    errors = named_percents(contradicted)
     note = f"the model misses known loads of check runs that were held out, {errors}: it lacks something there"
     rows = np.zeros(loads.amplitude.shape, bool)
     rows[1:] = _wrong_components(loads, contradicted)

@@ -19,8 +19,8 @@ from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord
 
 Array = NDArray[np.float64]
 
-
 LEVEL = gravity_directions([[0.0, 0.0]])[0]
+"""Direction of gravity (3,) in a rig that states no attitude."""
 
 
 def without_change_of_weight(

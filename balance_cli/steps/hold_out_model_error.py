@@ -14,7 +14,7 @@ from balance_cli.diagnosis.result import Diagnosis, HoldOut
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.response_error import ResponseError
-from balance_cli.io.percent import percent_text
+from balance_cli.io.percent import named_percents
 from balance_cli.reduction.check_contradiction import SIGNIFICANT
 from balance_cli.reduction.harmonic_loads import harmonic_response
 from balance_cli.reduction.model_sources import model_source
@@ -51,7 +51,7 @@ def note_contradicted_loads(diagnosis: Diagnosis, model: IdentifiedModel) -> Dia
     """Return the diagnosis with a note on the components that check runs contradict in the updated model."""
     if not model.contradicted:
         return diagnosis
-    errors = ", ".join(f"{name} by {percent_text(error, 3)} %" for name, error in model.contradicted.items())
+    errors = named_percents(model.contradicted)
     note = f"check runs contradict loads by the updated model, {errors}: `reduce` flags these loads in all runs"
     return replace(diagnosis, notes=(*diagnosis.notes, note))
 
