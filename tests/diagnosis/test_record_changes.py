@@ -159,11 +159,15 @@ def test_a_drift_that_no_effect_describes_is_missing():
 @pytest.fixture(scope="module")
 def random_runs():
     """Sweeps that do not repeat."""
+    return random_sweeps(5)
+
+
+def random_sweeps(seed):
     sweeps = tuple(
         SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), excitation="random", period=1.0, periods=6)
         for name, level in (("Fz", 80.0), ("Mx", 10.0))
     )
-    return simulate_campaign(true_rig(rotor_balance()), CampaignPlan(runs=sweeps), seed=5)[0]
+    return simulate_campaign(true_rig(rotor_balance()), CampaignPlan(runs=sweeps), seed=seed)[0]
 
 
 def random_row(runs):
@@ -185,6 +189,15 @@ def test_a_box_on_a_late_clock_shows_in_random_records(random_runs):
     row = random_row(runs)
     assert row.place == ", ".join(strain) and row.p_value < 1e-12
     assert float(row.finding.split("is late by ")[1].split()[0]) == pytest.approx(0.06, rel=0.01)
+
+
+def test_channels_that_are_late_are_named_however_little_is_left_of_their_ramp():
+    """Lateness of x.strain is 8 sigma; the local models had left it too little of its ramp to count as loaded."""
+    strain = tuple(name for name in rotor_balance().channel_names if name.endswith("strain"))
+    runs = random_sweeps(8)
+    for name in strain:
+        runs = [drifting(run, name, late) for run in runs]
+    assert random_row(runs).place == ", ".join(strain)
 
 
 def test_a_gain_that_drifts_shows_in_random_records(random_runs):

@@ -21,9 +21,6 @@ from balance_cli.signals.run_spectrum import RecordDrift
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-RAMP_POWER = 1.0 / 12.0
-"""Mean square of the ramp."""
-
 
 def record_drift(models: LocalModels) -> RecordDrift:
     """Estimate the drift of each channel over the record of fitted local models, against its loads."""
@@ -41,7 +38,7 @@ def record_drift(models: LocalModels) -> RecordDrift:
     return RecordDrift(
         change=value / 2.0,
         covariance=score.swapaxes(1, 2) @ score / 4.0,
-        signal_to_noise=size[0] / (RAMP_POWER * len(residual)),
+        signal_to_noise=np.mean(weight * np.abs(s.channels[lines]) ** 2, axis=0),
         dof=float(len(residual)),
     )
 
