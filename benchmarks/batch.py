@@ -93,7 +93,7 @@ def _measure() -> tuple[float, float, float, dict[str, float]]:
     options = MethodOptions("harmonic", None, None, 8)
     data = pickle_reduction(Reduction(options, geometry, calibrate(statics, geometry), source, None, None))
     with TemporaryDirectory() as folder:
-        paths = write_wind_runs(Path(folder), geometry, RUNS)
+        paths = write_wind_runs(Path(folder), geometry, RUNS, system=source.system)
         read = _time_per_run(_read_samples, paths)
         opened = _time_per_run(lambda path: open_run(path, hold=True), paths)
         reduced = _time_per_run(lambda path: (survey_run(Item(path, data)), reduce_file(Item(path, data))), paths)
