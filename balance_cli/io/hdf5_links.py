@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import accumulate
 from typing import Any
 
@@ -18,12 +19,25 @@ def refuse_other_files(file: h5py.File, name: str) -> None:
 
     Links on the way are looked at before they are followed. A name that leads nowhere is no fault here.
     """
-    parents = accumulate(name.split("/"), lambda path, part: f"{path}/{part}")
-    if any(isinstance(file.get(path, getlink=True), h5py.ExternalLink) for path in parents):
+    with suppress(KeyError):
+        linked_object(file, name)
+
+
+def linked_object(file: h5py.File, name: str) -> Any:
+    """Return the object of that name, None where no link has it; KeyError where its link leads nowhere.
+
+    Raises UserError where it lies in another file.
+    """
+    for path in accumulate(name.split("/"), lambda path, part: f"{path}/{part}"):
+        link = file.get(path, getlink=True)
+        if link is None:
+            return None
+        if isinstance(link, h5py.ExternalLink):
+            raise _other_file_error(name)
+    item = file[name]
+    if h5py.h5f.get_name(item.id) != h5py.h5f.get_name(file.id) or keeps_values_elsewhere(item):
         raise _other_file_error(name)
-    item = file.get(name)
-    if item is not None and (item.file.filename != file.filename or keeps_values_elsewhere(item)):
-        raise _other_file_error(name)
+    return item
 
 
 def keeps_values_elsewhere(item: Any) -> bool:

@@ -29,8 +29,8 @@ class LoadProblem:
     """The equations of harmonics 1 to n of a record: readings y (h, r) = T (h, r, m) f + noise (h, r, r).
 
     `dof` (h,) are the degrees of freedom of the noise; weighting (h, r, r) the covariance of channels that are noisy by
-    themselves, of one sample; scale (m,) makes loads comparable; `response_covariance` and `known_error` return
-    covariances (h, 2r, 2r) of T f for loads (h, 2m).
+    themselves, of one sample; scale (m,) makes loads comparable; `known_error` returns the covariance (h, 2r, 2r) of
+    T f for loads (h, 2m), `response_covariance` that (s h, 2r, 2r) for s sets of loads (s h, 2m) one below the other.
     """
 
     T: ComplexArray
@@ -103,7 +103,8 @@ def load_problem(
         return all_loads
 
     def response_covariance(loads: Array) -> Array:
-        return source.covariance(frequency, record.spin, as_components(loads))[:, real_rows[:, None], real_rows]
+        several = np.tile(frequency, len(loads) // len(frequency))
+        return source.covariance(several, record.spin, as_components(loads))[:, real_rows[:, None], real_rows]
 
     def known_error(loads: Array) -> Array:
         return circular_real(_known_error(record, source, channel_combination.rows, as_components(loads)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,11 +94,11 @@ def explain_residuals(
         return ()
     if _channel_noise_chi2(problem, samples) < LEAST_MISFIT * degrees:
         return ()
-    residuals = _residuals(problem, samples)
+    (residuals,) = _residuals([problem], samples)
     if residuals.chi2 < LEAST_MISFIT * degrees:
         return ()
     mistakes = [*_exchanges(residuals, live, geometry), *_factors(residuals, live, geometry)]
-    likeliest = sorted(mistakes, key=_remaining)[:EXAMINED]
+    likeliest = sorted(mistakes, key=attrgetter("chi2"))[:EXAMINED]
     share = REMAINING_WHERE_REJECTED if is_rejected else REMAINING_SHARE
     near = _explaining(likeliest, problem, samples, share, degrees)
     few = near if len(near) <= MOST_ALTERNATIVES else []
@@ -112,15 +113,14 @@ def _explaining(
     Loads that a mistake makes large have large errors of the response. Mistakes are compared by their own errors and by
     those of the best one.
     """
-    evaluated = (_examine(mistake, problem, samples) for mistake in mistakes)
-    trials = [mistake for mistake in evaluated if np.isfinite(mistake.chi2)]
+    trials = [mistake for mistake in _examine(mistakes, problem, samples) if np.isfinite(mistake.chi2)]
     if not trials:
         return []
-    error = problem.response_covariance(_undone(min(trials, key=_remaining), problem).loads())
-    by_same = [_examine(item, problem, samples, error) for item in trials]
-    least = [min(pair, key=_remaining) for pair in zip(trials, by_same, strict=True)]
-    best = min(least, key=_remaining).chi2
-    if best > share * _residuals(problem, samples, error).chi2:
+    error = problem.response_covariance(_undone(min(trials, key=attrgetter("chi2")), problem).loads())
+    by_same = _examine(trials, problem, samples, error)
+    least = [min(pair, key=attrgetter("chi2")) for pair in zip(trials, by_same, strict=True)]
+    best = min(least, key=attrgetter("chi2")).chi2
+    if best > share * _residuals([problem], samples, error)[0].chi2:
         return []
     return [item for item in least if item.chi2 <= best + LEAD * max(1.0, best / degrees)]
 
@@ -131,10 +131,6 @@ def _channel_noise_chi2(problem: LoadProblem, samples: int) -> float:
     residual = np.einsum("hrq,hr->hq", N.conj(), problem.readings)[:, :, None]
     weighted = np.linalg.solve(np.swapaxes(N.conj(), 1, 2) @ problem.weighting @ N, residual)
     return float(0.5 * samples * np.sum((residual.conj() * weighted).real))
-
-
-def _remaining(mistake: ChannelMistake) -> float:
-    return mistake.chi2
 
 
 @dataclass(frozen=True)
@@ -151,7 +147,9 @@ class _Residuals:
 
     def products(self, first: Array, second: Array) -> Array:
         """Return the weighted products (...) of changes (..., h, 2r) of the readings, summed over the harmonics."""
-        return np.asarray(np.sum(first * np.einsum("hrs,...hs->...hr", self.weight, second), axis=(-2, -1)))
+        by_harmonic = second.reshape(-1, *second.shape[-2:]).transpose(1, 2, 0)
+        weighted = (self.weight @ by_harmonic).transpose(2, 0, 1).reshape(second.shape)
+        return np.asarray(np.sum(first * weighted, axis=(-2, -1)))
 
     def divisors(self, masks: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Return the inverse factors of channels (s, r) that leave least, chi-square with them, and its growth.
@@ -164,20 +162,23 @@ class _Residuals:
         return inverse, self.chi2 - slope * (1.0 - inverse), inverse**2 * power
 
 
-def _residuals(problem: LoadProblem, samples: int, response_error: Array | None = None) -> _Residuals:
-    """Return the residuals by the noise of the channels, without gusts, and by the response.
+def _residuals(problems: Sequence[LoadProblem], samples: int, response_error: Array | None = None) -> list[_Residuals]:
+    """Return the residuals of problems with one response, by the noise of the channels, without gusts, and by its own.
 
-    `response_error` (h, 2r, 2r) is its covariance, by default that for the loads of these readings.
+    `response_error` (h, 2r, 2r) is the covariance of the response, by default that for the loads of each problem.
     """
-    error = problem.response_covariance(problem.loads()) if response_error is None else response_error
-    N = np.swapaxes(redundant_directions(stacked_real(problem.T)), 1, 2)
-    covariance = circular_real(problem.weighting) * (4.0 / samples) + error
+    readings = np.array([np.concatenate([item.readings.real, item.readings.imag], axis=1) for item in problems])
+    if response_error is None:
+        loads = np.concatenate([problem.loads() for problem in problems])
+        response_error = problems[0].response_covariance(loads).reshape(*readings.shape, -1)
+    N = np.swapaxes(redundant_directions(stacked_real(problems[0].T)), 1, 2)
+    covariance = circular_real(np.array([item.weighting for item in problems])) * (4.0 / samples) + response_error
     weight = N @ np.linalg.solve(np.swapaxes(N, 1, 2) @ covariance @ N, np.swapaxes(N, 1, 2))
-    return _Residuals(np.concatenate([problem.readings.real, problem.readings.imag], axis=1), weight)
+    return [_Residuals(*item) for item in zip(readings, weight, strict=True)]
 
 
 def _exchanges(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -> Iterator[ChannelMistake]:
-    """Yield each exchange of two channels, and of all channels of two cells with as many."""
+    """Yield the likeliest exchanges of two channels, and of all channels of two cells with as many."""
     places = places_by_sensor(live, geometry)
     swaps = [([i], [j], f"{live[i]} and {live[j]}") for i, j in combinations(range(len(live)), 2)]
     swaps += [
@@ -191,8 +192,8 @@ def _exchanges(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry)
     both = np.hstack([order, order + len(live)])
     corrected = np.moveaxis(residuals.readings[:, both], 0, 1)
     chi2 = residuals.products(corrected, corrected)
-    for row, value, (_, _, names) in zip(order, chi2.tolist(), swaps, strict=True):
-        yield ChannelMistake(np.eye(len(live))[row], names, value)
+    for k in np.argsort(chi2, kind="stable")[:EXAMINED].tolist():
+        yield ChannelMistake(np.eye(len(live))[order[k]], swaps[k][2], float(chi2[k]))
 
 
 def _factors(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -> Iterator[ChannelMistake]:
@@ -208,12 +209,22 @@ def _factors(residuals: _Residuals, live: tuple[str, ...], geometry: Geometry) -
             yield ChannelMistake(np.diag(np.where(mask, 1.0 / inverse, 1.0)), name, float(chi2), mask)
 
 
-def _examine(mistake: ChannelMistake, problem: LoadProblem, samples: int, error: Array | None = None) -> ChannelMistake:
-    """Return the mistake with the factor, and chi-square, by the noise without it; inf where no loads explain that."""
+def _examine(
+    mistakes: Sequence[ChannelMistake], problem: LoadProblem, samples: int, error: Array | None = None
+) -> list[ChannelMistake]:
+    """Return the mistakes with factor and chi-square by the noise without them; inf where no loads explain that."""
     try:
-        residuals = _residuals(_undone(mistake, problem), samples, error)
+        undone = [_undone(mistake, problem) for mistake in mistakes]
+        residuals = _residuals(undone, samples, error)
     except np.linalg.LinAlgError:
-        return replace(mistake, chi2=np.inf)
+        if len(mistakes) == 1:
+            return [replace(mistakes[0], chi2=np.inf)]
+        return [item for mistake in mistakes for item in _examine([mistake], problem, samples, error)]
+    return [_judge(mistake, left) for mistake, left in zip(mistakes, residuals, strict=True)]
+
+
+def _judge(mistake: ChannelMistake, residuals: _Residuals) -> ChannelMistake:
+    """Return a mistake with the factor, and chi-square, by the residuals without it."""
     if mistake.scaled is None:
         return replace(mistake, chi2=residuals.chi2)
     (inverse,), (chi2,), (worth,) = residuals.divisors(mistake.scaled[None])
@@ -260,7 +271,8 @@ def contradicting_channels(
         return ""
 
     def rejection(names: Sequence[str]) -> tuple[float, float]:
-        return _rejection(_without(record, names), geometry, source, response)
+        live = tuple(name for name in record.health.live if name not in names)
+        return _rejection(replace(record, health=replace(record.health, live=live)), geometry, source, response)
 
     left = {name: rejection((name,)) for name in record.health.live}
     passed: list[tuple[str, ...]] = [(name,) for name, (share, _) in left.items() if share <= EXPLAINED_SHARE]
@@ -271,11 +283,6 @@ def contradicting_channels(
         return ""
     them = "it" if len(passed[0]) == 1 else "them"
     return f"{' and '.join(passed[0])} contradict the other channels; without {them} the residual test is passed"
-
-
-def _without(record: RotorRecord, names: Sequence[str]) -> RotorRecord:
-    live = tuple(name for name in record.health.live if name not in names)
-    return replace(record, health=replace(record.health, live=live))
 
 
 def _rejection(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -124,7 +125,8 @@ def _median_of_mean(averages: float) -> float:
     return float(gammaincinv(averages, 0.5) / averages)
 
 
+@functools.lru_cache(maxsize=4)
 def blackman_harris(length: int) -> Array:
-    """Return the periodic Blackman-Harris window of `length` samples."""
+    """Return the periodic Blackman-Harris window of `length` samples; the runs of a batch have few lengths."""
     angle = 2.0 * np.pi / length * np.arange(length)
     return np.asarray(np.cos(np.multiply.outer(angle, np.arange(4))) @ np.array(BLACKMAN_HARRIS))

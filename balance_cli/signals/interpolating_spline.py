@@ -41,6 +41,21 @@ class PiecewisePolynomial:
             value += coefficient[index]
         return np.reshape(value, points.shape + value.shape[1:])
 
+    def with_slope(self, x: ArrayLike) -> tuple[Numbers, Numbers]:
+        """Return values (...) and slopes (...) at x (...) of a spline without further axes: both from one search."""
+        points = np.asarray(x, float)
+        index, offset = self._locate(points.ravel())
+        value = self.coefficients[-1][index]
+        slope = value * (len(self.coefficients) - 1)
+        for power in range(len(self.coefficients) - 2, -1, -1):
+            coefficient = self.coefficients[power][index]
+            value *= offset
+            value += coefficient
+            if power:
+                slope *= offset
+                slope += coefficient * power
+        return value.reshape(points.shape), slope.reshape(points.shape)
+
     def derivative(self) -> PiecewisePolynomial:
         """Return the derivative; that of constants is zero."""
         if len(self.coefficients) == 1:

@@ -19,7 +19,7 @@ from balance_cli.campaign.recording.run import Array
 from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import RUN_FORMAT
-from balance_cli.io.hdf5_links import refuse_other_files
+from balance_cli.io.hdf5_links import linked_object
 from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file
 
 MOST_ATTRIBUTE_ENTRIES = 10_000
@@ -94,8 +94,7 @@ def _read_labels(file: h5py.File, name: str) -> LabelDataset | None:
 def _read_layout(file: h5py.File, name: str, units: str) -> DatasetLayout | None:
     """Read the layout of a dataset; `units` names the attribute that holds its unit or units."""
     try:
-        refuse_other_files(file, name)
-        dataset = None if file.get(name, getlink=True) is None else file[name]
+        dataset = linked_object(file, name)
     except (OSError, RuntimeError, LookupError) as error:
         fault = f"cannot be read: {' '.join(str(error).split())}"
         raise UserError(fault, place=name, remedy="Write it as a dataset, not as a link") from error

@@ -105,7 +105,8 @@ class Azimuth:
 
     def _evaluate_samples(self, index: Integers, rate: float) -> tuple[Array, Array]:
         inside = np.clip(index / rate, self.first, self.last)
-        return 2.0 * np.pi * self.revolution_count(inside), self.speed_curve(inside)
+        count, speed = self.revolution_count.with_slope(inside)
+        return 2.0 * np.pi * count, speed
 
     def extrapolated_count(self, time: ArrayLike) -> Array:
         """Return the revolutions since the first pulse at any `time` [s]; the speed is constant outside the pulses."""
@@ -119,7 +120,8 @@ class Azimuth:
         target = np.asarray(revolution, float)
         time = np.interp(target, self.revolutions, self.pulse_times)
         for _ in range(4):
-            step = (self.revolution_count(time) - target) / self.speed_curve(time)
+            count, speed = self.revolution_count.with_slope(time)
+            step = (count - target) / speed
             time = np.clip(time - step, self.first, self.last)
             # The next step is quadratic in this one, and in the share of a revolution by which the speed changes.
             if np.max(np.abs(step), initial=0.0) * self.mean_rate < CONVERGED_STEP:

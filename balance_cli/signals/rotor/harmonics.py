@@ -238,8 +238,6 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
     w, F, c = samples.weight, fitted_count, samples.signals.shape[1]
-    beside = np.zeros((len(w), len(sums.border)))
-    beside[:, samples.other_columns] = samples.other.T
     basis = trigonometric_basis(samples.psi, F, samples.other)
     weighted = np.empty((c + 3 + len(samples.other), len(w)))
     np.multiply(samples.signals.T, w, out=weighted[:c])
@@ -255,7 +253,10 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     sums.turning[F + 1 :] += cosine[1 : F + 1] - sine[F + 1 :] + 1j * (sine[1 : F + 1] + cosine[F + 1 :])
     sums.border[samples.other_columns[:, None], columns] += products[c + 3 :]
     q = blackman_taper(samples.fraction) * samples.speed
-    sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), np.hstack([samples.signals, beside]) * q[:, None])
+    tapered = np.hstack([samples.signals, samples.other.T])
+    tapered *= q[:, None]
+    of_lines = np.concatenate([np.arange(c), c + samples.other_columns])
+    sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), tapered, of_lines)
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]
     sums.samples += len(w)
 

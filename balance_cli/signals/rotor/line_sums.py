@@ -50,15 +50,15 @@ class LineSums:
         points = max(2 * OVERSAMPLING * highest, 2 * KERNEL_WIDTH)
         self._grid = np.zeros((next_fast_len(points, real=True), columns))
 
-    def add(self, fraction: Array, values: Array) -> None:
-        """Add samples of values (m, columns) at shares (m,) of the interval, in ascending order."""
+    def add(self, fraction: Array, values: Array, columns: Integers | slice = slice(None)) -> None:
+        """Add samples of values (m, k), by default all columns, at shares (m,) of the interval, in ascending order."""
         position = fraction * len(self._grid)
         first = np.ceil(position - KERNEL_WIDTH / 2).astype(np.int64)
         spread = _spreading_matrix(position, first)
         part, place, begin = spread.T @ values, int(first[0]) % len(self._grid), 0
         while begin < len(part):  # a block may go round the whole grid
             count = min(len(part) - begin, len(self._grid) - place)
-            self._grid[place : place + count] += part[begin : begin + count]
+            self._grid[place : place + count, columns] += part[begin : begin + count]
             place, begin = 0, begin + count
 
     def at(self, lines: Integers) -> ComplexArray:
@@ -67,9 +67,10 @@ class LineSums:
 
         at_once = max(TRANSFORMED_POINTS // len(self._grid), 1)
         parts = np.split(self._grid, range(at_once, self._grid.shape[1], at_once), axis=1)
-        spectrum = np.concatenate([rfft(np.ascontiguousarray(part.T), axis=1)[:, np.abs(lines)] for part in parts])
-        sums = np.where(lines < 0, spectrum.conj(), spectrum) / _kernel_transform(lines / len(self._grid))
-        return np.asarray(np.moveaxis(sums, 0, -1))
+        # Transforms of neighboring columns run side by side, in a quarter of the time of rows.
+        spectrum = np.concatenate([rfft(part, axis=0)[np.abs(lines)] for part in parts], axis=-1)
+        sums = np.where((lines < 0)[..., None], spectrum.conj(), spectrum)
+        return np.asarray(sums / _kernel_transform(lines / len(self._grid))[..., None])
 
 
 def _spreading_matrix(position: Array, first: Integers) -> csr_array:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
+from scipy.fft import next_fast_len, rfft
 
 from balance_cli.campaign.recording.attribute_checks import RPM_PER_HERTZ
 from balance_cli.campaign.recording.run import Run, read_channel_rows
@@ -202,12 +202,13 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
         values = np.where(np.isfinite(values), values, 0.0)
     windowed, _ = normalize_channels(values)
     windowed *= np.hanning(samples).astype(np.float32)
-    spectrum = rfft(windowed, axis=1, overwrite_x=True)
+    padded = next_fast_len(samples, real=True)  # a large prime factor takes five times as long
+    spectrum = rfft(windowed, padded, axis=1, overwrite_x=True)
     power = spectrum.real**2 + spectrum.imag**2
     relative = np.max(power / np.maximum(spectral_floor(power), np.finfo(np.float32).tiny), axis=0)
     relative[:3] = 0.0
     peak = local_maxima(relative) & (relative > LINE_TO_FLOOR)
     index = np.flatnonzero(peak)
     index = index[np.argsort(-relative[index])][:STRONGEST_LINES]
-    step = sample_rate(run) / samples
-    return np.asarray(index * step), np.asarray(np.log(relative[index])), float(step)
+    frequency, resolution = index * (sample_rate(run) / padded), sample_rate(run) / samples
+    return np.asarray(frequency), np.asarray(np.log(relative[index])), float(resolution)

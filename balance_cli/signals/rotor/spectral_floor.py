@@ -45,8 +45,10 @@ def spectral_floor(power: Real, bins: NDArray[np.int64] | None = None) -> Real:
 
 def local_maxima(values: Real) -> NDArray[np.bool_]:
     """Return which values (k,) none within PEAK_REACH bins exceeds; the filter of scipy takes longer to import."""
-    padded = np.pad(values, PEAK_REACH, constant_values=-np.inf)
-    largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * PEAK_REACH + 1).max(axis=1)
+    largest = values.copy()
+    for step in range(1, PEAK_REACH + 1):
+        np.maximum(largest[step:], values[:-step], out=largest[step:])
+        np.maximum(largest[:-step], values[step:], out=largest[:-step])
     return np.asarray(values == largest)
 
 
