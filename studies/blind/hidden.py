@@ -194,6 +194,17 @@ def gyroscopic_coupling(truth: Truth, rng: np.random.Generator) -> Hidden:
     return Hidden("gyroscopic-coupling", {"polar_inertia": polar}, replace(truth, mechanics=mechanics))
 
 
+def gravity_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """The weight stands above the points where the cells carry it, by their shares."""
+    rig, weight = truth.rig, truth.rig.mass * 9.81
+    arm = rig.position - rig.cg
+    preload = np.linalg.lstsq(np.hstack([rig.axis, np.cross(arm, rig.axis)]).T, weight * np.eye(6)[2])[0]
+    moment = -preload * rig.axis[:, 2] @ arm[:, 2]
+    tilts = np.diag([0.0, 0, 0, 1, 1, 0])
+    K = truth.mechanics.K - moment * padded(tilts, truth.mechanics.size)
+    return Hidden("gravity-stiffness", {"stiffness": moment}, replace(truth, mechanics=replace(truth.mechanics, K=K)))
+
+
 def support_flexibility(truth: Truth, rng: np.random.Generator) -> Hidden:
     """The floor under the cells yields along one axis."""
     axis = int(rng.integers(0, 3))
@@ -352,6 +363,6 @@ LINEAR: tuple[Cause, ...] = (
 )
 NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
 # Most of them no effect describes.
-MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot, exciter_low_pass)
+MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot, exciter_low_pass, gravity_stiffness)
 """Effects that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -138,6 +138,7 @@ TRUTHS = {
     # With tolerances on the metric side an added mass is only another metric side: hardly any direction is left to it.
     "added-mass": truth("added-mass", mass=0.4, x=0.4, y=-0.3, z=0.6, geometry=KNOWN_MASS_RIG),
     "gyroscopic-coupling": truth("gyroscopic-coupling", polar_inertia=0.01, spin=SPIN),
+    "gravity-stiffness": truth("gravity-stiffness", stiffness=900.0),
     "parallel-stiffness": truth(
         "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e3, stiffness_y=1e3, stiffness_z=4e3, damping_time=1e-3
     ),

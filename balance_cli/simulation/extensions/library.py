@@ -51,6 +51,7 @@ from balance_cli.simulation.extensions.signals import (
 )
 from balance_cli.simulation.extensions.structure import (
     AddedMass,
+    GravityStiffness,
     GyroscopicCoupling,
     MastBending,
     ParallelDashpot,
@@ -62,6 +63,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     SupportFlexibility,
     MastBending,
     AddedMass,
+    GravityStiffness,
     GyroscopicCoupling,
     ParallelStiffness,
     ParallelDashpot,

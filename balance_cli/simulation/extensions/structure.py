@@ -201,3 +201,19 @@ class GyroscopicCoupling(Extension):
         phi, theta = FREEDOMS.index("phi"), FREEDOMS.index("theta")
         coupling[phi, theta], coupling[theta, phi] = momentum, -momentum
         return replace(mechanics, damping=mechanics.damping + mechanics.plate.T @ coupling @ mechanics.plate)
+
+
+@dataclass(frozen=True)
+class GravityStiffness(Extension):
+    """The center of gravity stands above the cells that carry the weight: `stiffness` is weight times height [N m/rad].
+
+    As the plate tilts, the weight turns it further.
+    """
+
+    name: ClassVar[str] = "gravity-stiffness"
+    stiffness: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
+        """The equations with the moment of the weight about both horizontal axes."""
+        tilts = mechanics.plate[[FREEDOMS.index("theta"), FREEDOMS.index("phi")]]
+        return replace(mechanics, stiffness=mechanics.stiffness - self.stiffness * tilts.T @ tilts)
