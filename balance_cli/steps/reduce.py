@@ -14,9 +14,10 @@ from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.channel_pairs import PairGain, add_pair_gains
 from balance_cli.reduction.check_contradiction import flag_by_held_out_runs
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
-from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
+from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, NOT_STEADY
 from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response, load_problem
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
@@ -101,6 +102,7 @@ def reduce_record(
     response = harmonic_response(record, geometry, source)
     problem = load_problem(record, geometry, source, response)
     harmonic_solution = _add_dynamic_error(problem.solve(), record, geometry, source)
+    harmonic_solution, gains = add_pair_gains(harmonic_solution, record, geometry, source, response)
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     errors_known = calibration is None or calibration.errors_known
@@ -111,10 +113,10 @@ def reduce_record(
     trust = assess_trust(ReducedRecord(record, geometry, source, static, response, problem, harmonic_solution, sigma))
     shared = (line.description for line in record.confounded)
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
-    source_note = source.note if isinstance(source, ResponseWithoutModel) else ""
-    further = filter(None, [mean_solution.note, source_note])
+    further = filter(None, [mean_solution.note, source.note if isinstance(source, ResponseWithoutModel) else ""])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
-    loads = replace(_with_mean_change(loads, trust.mean_change), wrong_channels=trust.wrong_channels or None)
+    loads = replace(loads, wrong_channels=trust.wrong_channels or None)
+    loads = _flag_pair_gains(_with_mean_change(loads, trust.mean_change), gains)
     if static is not None:
         loads = _flag_implausible(loads, static)
     loads = flag_by_held_out_runs(loads, source)
@@ -133,6 +135,13 @@ def _with_mean_change(loads: RunLoads, change: Array | None) -> RunLoads:
     sigma = loads.sigma_cosine.copy()
     sigma[0] = np.hypot(sigma[0], 0.5 * change)
     return replace(loads, sigma_cosine=sigma)
+
+
+def _flag_pair_gains(loads: RunLoads, gains: tuple[PairGain, ...]) -> RunLoads:
+    """Return the loads with what the two channels of cells differ by in words, flagged where that drifts."""
+    for pair in gains:
+        loads = loads.with_flag(NOT_STEADY, pair.description, where=pair.drift is not None)
+    return loads
 
 
 def _unnoticed_errors(
