@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
-from balance_cli.signals.response.interpolation_error import interpolate_with_error
 from balance_cli.signals.response.periodic_response import LARGEST_LOAD_CONDITION, run_difference_ratio
 from balance_cli.signals.response.transfer import select_channels
 from balance_cli.signals.run_spectrum import FrequencyResponse
@@ -147,6 +146,8 @@ def _select_lines(response: FrequencyResponse, lines: Array) -> FrequencyRespons
 
 def _interpolate(response: FrequencyResponse, lines: Array) -> FrequencyResponse:
     """Return the response at other lines, with the error of the interpolation; its coherence is that of a neighbor."""
+    from balance_cli.signals.response.interpolation_error import interpolate_with_error
+
     value = interpolate_with_error(response, lines, INTERPOLATION)
     nearest = np.argmin(np.abs(response.frequency - lines[:, None]), axis=1)
     return replace(
