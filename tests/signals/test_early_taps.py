@@ -10,7 +10,7 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.early_taps import prepend_rest
 from balance_cli.signals.impact import use_hammer_record
-from balance_cli.signals.local.models import whitening_matrices
+from balance_cli.signals.local.noise import whitening_matrices
 from balance_cli.signals.local.response import local_response
 
 RATE, SAMPLES, OMEGA, ZETA = 4000.0, 4000, 2 * np.pi * 35.0, 0.01

@@ -25,6 +25,8 @@ WHOLE_SPECTRUM = slice(None)
 LEAST_CHANNEL_NOISE = 1e-3
 """Added to the variances of the channels, which are about 1 in the units used; a computed record has no noise."""
 
+NOISELESS_RIDGE = 1e-9
+"""Of the mean noise of the channels: far above rounding, far below the differences of noise between channels."""
 LEAST_RESPONSE_SHARE = 1e-3
 """Least power of a response beside its noise: lines where it is all noise have a millionth of the weight of others."""
 LEAST_LOAD_NOISE = 1e-4
@@ -183,3 +185,15 @@ def _update_load_noise(residual: ComplexArray, weighted: _WeightedResponse, load
         return np.zeros_like(loads)
     least = LEAST_LOAD_NOISE * np.sum(weight * error_variance, axis=0) / weight.sum(axis=0)
     return np.asarray(np.maximum(variance, least))
+
+
+def whitening_matrices(covariance: ComplexArray) -> ComplexArray:
+    """Return matrices (K, c, c) that make noise of this covariance (K, c, c) white."""
+    try:
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        # Computed records have no noise in some directions, but rounding, which may be of either sign.
+        c = covariance.shape[1]
+        size = np.maximum(np.trace(covariance, axis1=1, axis2=2).real / c, np.finfo(float).tiny)
+        root = np.linalg.cholesky(covariance + (NOISELESS_RIDGE * size)[:, None, None] * np.eye(c))
+    return np.asarray(np.linalg.inv(root), complex)

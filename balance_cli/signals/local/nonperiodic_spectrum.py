@@ -94,11 +94,19 @@ def nonperiodic_record(
     if not groups:
         raise run_error(run, "the loads exceed their noise at no line", "Excite more strongly", "loads")
     u = models.spectrum.loads.shape[1]
-    first = np.repeat([group.first for group in groups], u)
     bin_index = np.rint(models.spectrum.frequency * run.samples / sample_rate(run)).astype(np.intp)
-    return NonperiodicRecord(
-        _to_run_spectrum(models, groups), bin_index, first, np.concatenate([group.rows for group in groups])
-    )
+    first, weight = _rows_of_one_width(groups, len(bin_index))
+    return NonperiodicRecord(_to_run_spectrum(models, groups), bin_index, np.repeat(first, u), weight)
+
+
+def _rows_of_one_width(groups: Sequence[_Experiments], lines: int) -> tuple[Index, ComplexArray]:
+    """First line (G,) and weights (G u, M) of all groups, with zeros about those of windows that are not the widest."""
+    width = max(group.rows.shape[1] for group in groups)
+    first = np.minimum([group.first for group in groups], lines - width)
+    before = [group.first - start for group, start in zip(groups, first, strict=True)]
+    after = [width - gap - group.rows.shape[1] for group, gap in zip(groups, before, strict=True)]
+    padded = [np.pad(g.rows, ((0, 0), gaps)) for g, gaps in zip(groups, zip(before, after, strict=True), strict=True)]
+    return first, np.concatenate(padded)
 
 
 def _line_groups(models: LocalModels, window: int) -> list[_Experiments]:

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.fit import ModelOrders, WindowedData
-from balance_cli.signals.local.models import LocalModels, best_fits, sliding_windows, stitch_response
+from balance_cli.signals.local.models import LocalModels, best_fits, stitch_response
 from balance_cli.signals.local.noise import NoiseCovariances
 from balance_cli.signals.local.response import coherences, response_from_models
 from balance_cli.signals.local.scaled_spectrum import ScaledSpectrum
+from balance_cli.signals.local.widths import sliding_windows
 from balance_cli.signals.periodic import PeriodicRecord
 from balance_cli.signals.run_spectrum import FrequencyResponse, RunSpectrum
 
@@ -141,9 +142,9 @@ def response_from_one_run(run: Run, lines: RunSpectrum) -> FrequencyResponse:
             remedy="Record as many runs as components, with different phases, or excite more lines",
         )
     spectrum = _scaled_spectrum(run, lines)
-    first, assigned_lines = sliding_windows(len(lines.frequency), M, max(M // 7, 1))
-    windows = _spectrum_windows(spectrum, first[:, None] + np.arange(M))
-    fits = best_fits(windows, LINE_MODEL_ORDERS)
+    layout = sliding_windows(len(lines.frequency), M, max(M // 7, 1))
+    first, assigned_lines = layout.first, layout.assigned_lines
+    fits = best_fits(_spectrum_windows(spectrum, layout.index), LINE_MODEL_ORDERS)
     c = len(lines.channel_names)
     scale = np.concatenate([spectrum.channel_scale, spectrum.load_scale])
     scaled = lines.covariance / (scale[:, None] * scale)
