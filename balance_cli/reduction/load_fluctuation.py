@@ -9,6 +9,7 @@ lines by maximum likelihood. What T S T* has more at the harmonic than at the li
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,13 +141,7 @@ def _gain(T: ComplexArray, of_lines: Array, of_harmonic: Array) -> float:
 def _line_grids(lines: NoiseLines, turns: int) -> list[_LineGrid]:
     """Return the grid around each harmonic: the lobes of lines and harmonic are the same for all."""
     reach = np.arange(-LOBE * NODES, LOBE * NODES + 1)
-    share = (np.arange(LOBE_POINTS) + 0.5) / LOBE_POINTS
-    waves = np.exp(-2j * np.pi * np.outer(reach / NODES, share))
-    lobe, lobe_of_harmonic = (
-        power / power.sum()
-        for taper in (blackman_taper(share), edge_weight(share * turns, 0, turns))
-        for power in [np.abs(waves @ taper) ** 2]
-    )
+    lobe, lobe_of_harmonic = _lobes(turns)
     outermost = (int(np.abs(lines.offsets).max()) + LOBE) * NODES
     of_harmonic = np.zeros(2 * outermost + 1)
     of_harmonic[outermost + reach] = lobe_of_harmonic
@@ -156,6 +151,15 @@ def _line_grids(lines: NoiseLines, turns: int) -> list[_LineGrid]:
         of_lines = np.bincount(at.ravel(), np.tile(lobe, len(at)), len(of_harmonic)) / len(at)
         grids.append(_LineGrid(at, lobe, of_lines, of_harmonic))
     return grids
+
+
+@lru_cache(maxsize=16)
+def _lobes(turns: int) -> tuple[Array, Array]:
+    """Return the shares of the points of a lobe, of a line and of a harmonic: the runs of a batch have few lengths."""
+    share = (np.arange(LOBE_POINTS) + 0.5) / LOBE_POINTS
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(-LOBE * NODES, LOBE * NODES + 1) / NODES, share))
+    powers = [np.abs(waves @ taper) ** 2 for taper in (blackman_taper(share), edge_weight(share * turns, 0, turns))]
+    return powers[0] / powers[0].sum(), powers[1] / powers[1].sum()
 
 
 def _excess(T: ComplexArray, grid: _LineGrid, lines: ComplexArray) -> ComplexArray:

@@ -108,7 +108,7 @@ def noticed_share(equations: LoadEquations, error: Array, degrees: Array, limit:
     tested = degrees > 0
     excess = np.where(tested, (np.where(tested, limit, 1.0) - 1.0) * degrees, np.inf)
     with np.errstate(divide="ignore"):
-        chi2 = residual_chi2(equations.T, error.swapaxes(1, 2), equations.covariance)
+        chi2 = residual_chi2(equations.redundant, error.swapaxes(1, 2), equations.covariance)
         return np.asarray(np.sqrt(excess[:, None] / chi2))
 
 

@@ -254,7 +254,7 @@ def _passes_test(problem: LoadProblem) -> bool:
     if problem.known_error is not None:
         loads, equations = solved.loads, solved.equations
         known = problem.known_error(np.concatenate([loads.real, loads.imag], axis=1))
-        chi2 = residual_chi2(equations.T, equations.readings[:, :, None], equations.covariance + known)[:, 0]
+        chi2 = residual_chi2(equations.redundant, equations.readings[:, :, None], equations.covariance + known)[:, 0]
         rejected = chi2 > solved.limit * solved.degrees
     return bool(np.mean(rejected) <= EXPLAINED_SHARE)
 

@@ -74,7 +74,7 @@ def untested_harmonics(
     if fewest <= len(noticed):
         noticed = np.minimum(noticed, np.sort(noticed, axis=0)[fewest - 1])
     if channel_covariance is not None and degrees.sum() > 0:
-        chi2 = residual_chi2(equations.T, error.swapaxes(1, 2), channel_covariance).sum(axis=0)
+        chi2 = residual_chi2(equations.redundant, error.swapaxes(1, 2), channel_covariance).sum(axis=0)
         with np.errstate(divide="ignore"):
             noticed = np.minimum(noticed, np.sqrt(LEAST_MISFIT * degrees.sum() / chi2))
     return _untested(equations, both, noticed, (degrees, limit), sigma, _amplitude)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,11 @@ class LoadEquations:
     readings: Array
     covariance: Array
     estimator: Array
+
+    @cached_property
+    def redundant(self) -> Array:
+        """The directions of the readings that no load reaches, which several tests need."""
+        return redundant_directions(self.T)
 
 
 @dataclass(frozen=True)
@@ -115,8 +121,9 @@ def solve_loads(
     response_error = response_covariance(loads)
     total = tested_noise + response_error
     covariance = noise_covariance + G @ response_error @ np.swapaxes(G, 1, 2)
-    chi2 = residual_chi2(T, y[:, :, None], total)[:, 0]
-    share = _noise_share(T, tested_noise, total)
+    equations = LoadEquations(T, y, total, G)
+    chi2 = residual_chi2(equations.redundant, y[:, :, None], total)[:, 0]
+    share = _noise_share(equations.redundant, tested_noise, total)
     degrees = np.full(len(T), float(a - b))
     bias, limit = _residual_test_limit(share, dof, a - b, few)
     per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
@@ -129,7 +136,7 @@ def solve_loads(
         degrees=degrees,
         limit=limit,
         condition=_condition(T, noise, scale),
-        equations=LoadEquations(T, y, total, G),
+        equations=equations,
     )
 
 
@@ -145,13 +152,12 @@ def _propagate(G: Array, covariance: Array) -> Array:
     return np.asarray(G @ covariance @ np.swapaxes(G, 1, 2))
 
 
-def residual_chi2(T: Array, readings: Array, total: Array) -> Array:
+def residual_chi2(N: Array, readings: Array, total: Array) -> Array:
     """Return the least chi-square (h, s) that any loads leave of s readings (h, a, s), by their covariance `total`.
 
-    It is that of the directions that no load reaches. A covariance from fewer lines than channels is singular, and
-    regular in these directions alone.
+    It is that of the `redundant_directions` N. A covariance from fewer lines than channels is singular, and regular in
+    these directions alone.
     """
-    N = redundant_directions(T)
     residual = N @ readings
     covariance = N @ total @ np.swapaxes(N, 1, 2)
     return np.asarray(np.einsum("has,has->hs", residual, np.linalg.solve(covariance, residual)))
@@ -162,9 +168,8 @@ def redundant_directions(T: Array) -> Array:
     return np.asarray(np.swapaxes(np.linalg.qr(T, mode="complete").Q[:, :, T.shape[2] :], 1, 2))
 
 
-def _noise_share(T: Array, noise: Array, total: Array) -> Array:
-    """Return the share (h,) of the noise in the covariance `total` of the redundant directions."""
-    N = redundant_directions(T)
+def _noise_share(N: Array, noise: Array, total: Array) -> Array:
+    """Return the share (h,) of the noise in the covariance `total` of the redundant directions N."""
     noise, total = (N @ part @ np.swapaxes(N, 1, 2) for part in (noise, total))
     return np.asarray(np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / max(N.shape[1], 1))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +66,17 @@ def line_offsets(revolutions: int) -> Array:
 
 def line_correlation(offsets: Array) -> Array:
     """Return the squared correlation |rho|^2 (k, k) between the tapered lines of white noise at the given offsets."""
+    correlation = _correlation_by_distance()
+    distance = np.abs(offsets[:, None] - offsets[None, :]).astype(int)
+    return np.asarray(correlation[np.minimum(distance, len(correlation) - 1)])
+
+
+@functools.cache
+def _correlation_by_distance() -> Array:
+    """Return |rho|^2 of lines 0, 1, 2 and so on apart; the last number is zero."""
     grid = (np.arange(256) + 0.5) / 256
     spectrum = np.abs(np.fft.fft(blackman_taper(grid) ** 2)) / np.sum(blackman_taper(grid) ** 2)
-    distance = np.abs(offsets[:, None] - offsets[None, :]).astype(int)
-    return np.where(distance < 128, spectrum[np.minimum(distance, 127)] ** 2, 0.0)
+    return np.append(spectrum[:128] ** 2, 0.0)
 
 
 @dataclass(frozen=True)

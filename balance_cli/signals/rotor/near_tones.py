@@ -58,8 +58,7 @@ def find_near_tones(lines: NoiseLines, columns: list[int]) -> NearTones:
     """Return the tone beside each harmonic that explains the lines of the channels best; zero where none does."""
     around, values = lines.around[:, :, columns], lines.values[:, :, columns]
     lobes = _lobes()
-    power = np.where(lines.keep[:, :, None], np.abs(values) ** 2, np.nan)
-    noise = np.nanmedian(power, axis=1) / MEDIAN_OF_EXPONENTIAL + np.finfo(float).tiny
+    noise = _median_power(values, lines.keep) / MEDIAN_OF_EXPONENTIAL + np.finfo(float).tiny
     left = around - lobes.harmonic[:, None] * np.einsum("b,nbc->nc", lobes.harmonic.conj(), around)[:, None]
     far = _best_tone(left, noise, lobes.tones, np.zeros_like(left), (UNEXPLAINED_SHARE, LEAST_TOTAL))
     ramp = lobes.ramp[:, None] * np.einsum("b,nbc->nc", lobes.ramp.conj(), left)[:, None]
@@ -72,6 +71,14 @@ def find_near_tones(lines: NoiseLines, columns: list[int]) -> NearTones:
     count = lines.keep.sum(axis=1)
     least = np.maximum(TONE_TO_NOISE, count * (FALSE_ALARM ** (-1.0 / count) - 1.0))
     return NearTones(distance, amplitude, power, least)
+
+
+def _median_power(values: ComplexArray, keep: NDArray[np.bool_]) -> Array:
+    """Return the median (n, c) of the power of the lines (n, k, c) that are kept (n, k), at least one of each."""
+    ordered = np.sort(np.where(keep[:, :, None], values.real**2 + values.imag**2, np.inf), axis=1)
+    count = np.count_nonzero(keep, axis=1)
+    low, high = (ordered[np.arange(len(count)), middle] for middle in ((count - 1) // 2, count // 2))
+    return np.asarray(0.5 * (low + high))
 
 
 @dataclass(frozen=True)

@@ -55,10 +55,10 @@ def local_maxima(values: Real) -> NDArray[np.bool_]:
 def row_medians(values: Real) -> Real:
     """Return the medians along the last axis; numpy's own takes several times as long for rows of a hundred values.
 
-    To find two places of each row, as for the mean of the middle two, would take six times as long as to find one.
+    A vectorized sort of so few values takes two thirds of the time of a partition.
     """
     middle = values.shape[-1] // 2
-    ordered = np.partition(values, middle, axis=-1)
+    ordered = np.sort(values, axis=-1)
     if values.shape[-1] % 2:
         return np.asarray(ordered[..., middle])
-    return np.asarray(0.5 * (ordered[..., :middle].max(axis=-1) + ordered[..., middle]))
+    return np.asarray(0.5 * (ordered[..., middle - 1] + ordered[..., middle]))
