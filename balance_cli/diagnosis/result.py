@@ -175,19 +175,25 @@ RUN_CHANGE_TEST = "run against run"
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A `channel` or `run` (`kind`) without which the data need no effect, and chi2/dof without it."""
+    """A `channel` or `run` (`kind`) without which the data need no effect, and chi2/dof without it.
+
+    `likely_cause`: the effect in the channel that takes nearly all of its misfit; empty without any.
+    """
 
     kind: str
     name: str
     chi2_per_dof: float
+    likely_cause: str = ""
 
     @property
     def description(self) -> str:
         """One sentence, with what to do."""
         remedy = "check its range, zero and cable" if self.kind == CHANNEL else "record it again"
+        cause = f"; {self.likely_cause} describes most of what it reads" if self.likely_cause else ""
         return (
             f"without {self.kind} {self.name} the model before the search describes all other data within their noise "
-            f"(chi2/dof {self.chi2_per_dof:.3g}): the updated model is fitted without it; leave it out, and {remedy}"
+            f"(chi2/dof {self.chi2_per_dof:.3g}): the updated model is fitted without it; "
+            f"leave it out, and {remedy}{cause}"
         )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.diagnosis.causes import judge_number_of_causes
+from balance_cli.diagnosis.channel_causes import likely_channel_cause
 from balance_cli.diagnosis.common_delay import judge_common_delay
 from balance_cli.diagnosis.common_load_gain import judge_common_load_gain
 from balance_cli.diagnosis.conclusions import (
@@ -22,7 +23,15 @@ from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
 from balance_cli.diagnosis.model_update import UpdateResult, add_zeros, effect_labels, model_quality, update_model
 from balance_cli.diagnosis.residual_map import describe_residual_location, residual_map
-from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, FoundEffect, LeftOut, ResidualMap
+from balance_cli.diagnosis.result import (
+    CHANNEL,
+    EXPLAINED,
+    NOTHING_MISSING,
+    Diagnosis,
+    FoundEffect,
+    LeftOut,
+    ResidualMap,
+)
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
@@ -158,8 +167,11 @@ def _exclusion(
     exclusion = find_exclusion(before, spectra, residual, announce, settings)
     if exclusion is None:
         return None
-    trials = (*update.trials, *exclusion.update.trials)
-    return replace(exclusion, update=replace(exclusion.update, trials=trials))
+    trials, left_out = (*update.trials, *exclusion.update.trials), exclusion.left_out
+    if left_out.kind == CHANNEL:
+        cause = likely_channel_cause(exclusion.update.fit, left_out.name, batches, announce, settings)
+        left_out = replace(left_out, likely_cause=cause)
+    return replace(exclusion, left_out=left_out, update=replace(exclusion.update, trials=trials))
 
 
 def _lowest_mode(model: IdentifiedModel) -> float:

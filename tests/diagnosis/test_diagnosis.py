@@ -8,6 +8,8 @@ import pytest
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.channel_causes import likely_channel_cause
+from balance_cli.diagnosis.exclusions import without_channel
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED
 from balance_cli.diagnosis.search.bounded_gain import best_gain
 from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
@@ -484,17 +486,34 @@ SEVERAL_STARTS = ("added-mass", "support-flexibility", "mast-bending", "parallel
 """Effects whose fits take most of the time of a search, and which act on the rig rather than on a channel."""
 
 
-def test_a_channel_that_saturates_is_named_with_its_largest_reading():
-    """On six cells, where a search is quickest."""
+@pytest.fixture(scope="module")
+def saturating():
+    """Six cells, with which a search is quickest, and the spectra of a campaign in which a channel saturates at 5 V."""
     rig, plan = other_rig("A"), short_campaign("A", sweeps=30.0)
     plan = plan.select_runs([run.run for run in plan.runs if run.kind in ("static", "sweep")])
-    saturating = true_rig(rig).with_extensions(SaturatingChannel(where=("l2.piezo",), limit=5.0))
-    spectra = measured_spectra(simulate_campaign(saturating, plan, seed=3)[0], rig, means=True)
+    truth = true_rig(rig).with_extensions(SaturatingChannel(where=("l2.piezo",), limit=5.0))
+    return rig, measured_spectra(simulate_campaign(truth, plan, seed=3)[0], rig, means=True)
+
+
+def test_a_channel_that_saturates_is_named_with_its_largest_reading(saturating):
+    rig, spectra = saturating
     found, _ = diagnose(identify(spectra, rig), spectra, settings=replace(SETTINGS, excluded=SEVERAL_STARTS))
     (effect,) = found.effects
     assert (found.verdict, effect.label) == (EXPLAINED, "saturation@l2.piezo")
     (compression,) = effect.parameters
     assert abs(compression.value - 5.0**-2) < 4 * compression.sigma
+
+
+@pytest.mark.parametrize(("excluded", "cause"), [((), "saturation@l2.piezo"), (("saturation",), "")])
+def test_the_cause_in_a_channel_is_seen_beside_all_other_data(saturating, excluded, cause):
+    rig, spectra = saturating
+    rest = identify(without_channel(spectra, "l2.piezo", rig), rig)
+    estimate = balance_model(rig).at(np.array(rest.parameters.value))
+    batches, settings = (
+        stack_runs(spectra.lines, spectra.statics, rig.channel_names),
+        replace(SETTINGS, excluded=excluded),
+    )
+    assert likely_channel_cause(estimate, "l2.piezo", batches, lambda step: False, settings) == cause
 
 
 def test_a_channel_that_no_effect_describes_is_left_out():
@@ -506,6 +525,7 @@ def test_a_channel_that_no_effect_describes_is_left_out():
     assert not found.effects
     assert (found.left_out.kind, found.left_out.name) == ("channel", "z1.piezo")
     assert found.left_out.chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert found.left_out.likely_cause == ""
     assert found.location == ""
     assert found.chi2_per_dof_after < 1.1 < found.chi2_per_dof_before
     assert not updated.geometry.effects
