@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration, CheckLoads, Drift
+from balance_cli.calibration.attitude_contradiction import undetermined_weight_notes
 from balance_cli.calibration.check_loads import CheckModels, HeldOutRun, evaluate_check_loads, evaluate_check_points
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, refit_terms
 from balance_cli.calibration.load_directions import check_load_directions
-from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
 from balance_cli.calibration.noniterative import fit_noniterative_model
 from balance_cli.calibration.noniterative_model import NonIterativeModel
@@ -23,7 +23,7 @@ from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.series_zeros import series_zero_notes
 from balance_cli.calibration.swapped_channels import find_swapped_channels
 from balance_cli.calibration.tare_result import Tares
-from balance_cli.calibration.tares import screen_outliers_with_tares, undetermined_weight_notes
+from balance_cli.calibration.tares import screen_outliers_with_tares
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.untested_products import find_untested_products
 from balance_cli.campaign.recording.run import Run, read_channels
@@ -119,15 +119,19 @@ def _fit_for_loads(points: CalibrationPoints, fit: CalibrationModelFit, choice: 
 
 def _held_out_checks(models: CheckModels, held_out: Sequence[HeldOutRun], tares: Tares | None) -> Iterator[CheckLoads]:
     for run in held_out:
-        weight = _tare_loads(tares, models.model, run.gravity)
-        yield from evaluate_check_loads(models, run.name, run.channels, run.loads, weight)
+        weight, channels = None, run.channels
+        if tares is not None and run.gravity is not None:
+            weight = tares.loads(run.gravity, models.model.components)
+            channels = channels - tares.readings_beside_shaft(run.gravity, models.model.components)
+        yield from evaluate_check_loads(models, run.name, channels, run.loads, weight)
 
 
 def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Tares | None) -> tuple[str, ...]:
     alarms = unpredicted_series(points, screened.fit)
     own_products = own_product_notes(points, screened.fit)
     zeros = series_zero_notes(points, screened.fit) if tares is None else ()
-    return (*screened.screening_notes, *alarms, *own_products, *zeros, *undetermined_weight_notes(points, tares))
+    weight = undetermined_weight_notes(points, screened.fit) if tares is None else ()
+    return (*screened.screening_notes, *alarms, *own_products, *zeros, *weight)
 
 
 def _estimate_noise(points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_]) -> CalibrationNoise:
@@ -175,11 +179,6 @@ def _check_points_by_run(
         series = np.searchsorted(fitted, total.load_series[rows])
         name = f"{total.run_names[run]}, check points"
         yield from evaluate_check_points(models, name, total.channels[rows], total.loads[rows], series)
-
-
-def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | None) -> Array | None:
-    """Loads (m, k) of the weight of the metric part; None where it or the attitude is not known."""
-    return None if tares is None or gravity is None else tares.loads(gravity, model.components)
 
 
 def fit_drift(zeros: Array, covariance: Array) -> Drift:

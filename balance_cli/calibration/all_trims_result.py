@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -169,3 +170,16 @@ class AllTrimsCalibration:
         """Loads (k,) [N, N m] of the weight of the metric part on the level rig; zero where the tares are not known."""
         names = self.model.components
         return np.zeros(len(names)) if self.tares is None else self.tares.loads(LEVEL_GRAVITY, names)[0]
+
+    def readings_beside_shaft(self, gravity: Array | None, channel_names: Sequence[str]) -> Array:
+        """Readings (m, c) [V] of these channels by the weight beyond its hub loads; of the level rig without gravity.
+
+        Zero without a shaft that has a torque meter, without tares, and of channels that the model lacks.
+        """
+        directions = LEVEL_GRAVITY if gravity is None else gravity
+        readings = np.zeros((len(directions), len(channel_names)))
+        if self.tares is not None and self.tares.beside_shaft is not None:
+            known = [i for i, name in enumerate(channel_names) if name in self.model.channel_names]
+            at = [self.model.channel_names.index(channel_names[i]) for i in known]
+            readings[:, known] = self.tares.readings_beside_shaft(directions, self.model.components)[:, at]
+        return readings

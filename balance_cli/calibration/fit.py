@@ -34,11 +34,10 @@ class CalibrationPoints:
 
     `calibrated_range` (k,) [N, N m] scales the loads; `run` (m,) is an index into `run_names`; `weight` (m,) follows
     from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs without an
-    attitude; None where no run states one. `stated_series` (m,): labels of the load series, or empty; `series` (m,):
-    their numbers where known. `tare_points` (m,): rows stated to be that; `check_points` (m,): rows of weight 0 in the
-    schedule. `reading_units` (c,), default V; `declared_response` (c, k) [V/N, V/(N m)], of the geometry.
-    `repeat_scatter` (c, c) [V2]: what the covariance of one reading exceeds that of a row by, where rows are means of
-    repeated ones.
+    attitude, or None. `stated_series` (m,): labels of the load series, or empty; `series` (m,): numbers where known.
+    `tare_points`, `check_points` (m,): rows stated to be that, the latter of weight 0. `reading_units` (c,), default V;
+    `declared_response` (c, k) [V/N, V/(N m)], of the geometry, and `plate_response` to moments beside a shaft with a
+    torque meter, NaN elsewhere. `repeat_scatter` (c, c) [V2]: what one reading scatters more than a mean of repeats.
     """
 
     channel_names: tuple[str, ...]
@@ -56,6 +55,7 @@ class CalibrationPoints:
     series: Index | None = None
     reading_units: tuple[str, ...] = ()
     declared_response: Array | None = None
+    plate_response: Array | None = None
     repeat_scatter: Array | None = None
 
     def reading_unit(self, channel: int) -> str:

@@ -23,6 +23,8 @@ class Tares:
     reading of the channels without any load, with sigma. Elements of `w` that the balance does not tell (first moments
     where it measures no moments) are zero, without error. `chi2_per_dof` of the zeros of `series_count` load series
     about this model, NaN without degrees of freedom; the standard errors are widened where it is significant.
+    `beside_shaft` (c, k) [V/N, V/(N m)]: what channels read of a load on the plate beyond that of the hub load, about a
+    shaft with a torque meter, through which the weight does not go; None without such a shaft.
     """
 
     w: Array
@@ -31,6 +33,7 @@ class Tares:
     natural_zeros_sigma: Array
     chi2_per_dof: float
     series_count: int = field(metadata={"stored_as": "sequences"})
+    beside_shaft: Array | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def weight(self) -> float:
@@ -70,6 +73,12 @@ class Tares:
     def loads(self, gravity: Array, components: tuple[str, ...]) -> Array:
         """Loads (m, k) [N, N m] on these components by the weight of the metric part; gravity (m, 3) in rig axes."""
         return np.asarray(weight_loads(gravity, components) @ self.w)
+
+    def readings_beside_shaft(self, gravity: Array, components: tuple[str, ...]) -> Array:
+        """Readings (m, c) [V] by the weight beyond those of its hub loads, as its moment goes beside the shaft."""
+        if self.beside_shaft is None:
+            return np.zeros((len(gravity), len(self.natural_zeros)))
+        return np.asarray(self.loads(gravity, components) @ self.beside_shaft.T)
 
     def difference_covariance(self, gravity: Array, other: Array, components: tuple[str, ...]) -> Array:
         """Covariance (m, k, k) of what the weight changes between the directions `other` and `gravity` (m, 3)."""

@@ -50,6 +50,19 @@ def without_change_of_weight(
     return replace(loads, loads=loads.loads - (change[0] - change[1]), sigma=sigma)
 
 
+def zero_in_attitude(zero: ZeroRecord | None, gravity: Array | None, calibration: Calibration) -> ZeroRecord | None:
+    """Return the zero with what the weight makes the channels read beside a shaft in the attitude of the run.
+
+    The hub loads of the weight are taken off the mean loads; its moment about a shaft with a torque meter does not go
+    through the meter, so that the redundant channels would contradict it as a load.
+    """
+    if zero is None or gravity is None or zero.gravity is None or calibration.all_trims is None:
+        return zero
+    directions = np.stack([gravity, zero.gravity])
+    of_run, of_zero = calibration.all_trims.readings_beside_shaft(directions, zero.channel_names)
+    return replace(zero, mean=zero.mean + (of_run - of_zero))
+
+
 def _flagged(loads: MeanLoads, reason: str) -> MeanLoads:
     note = (
         f"`pitch` or `roll`: {reason}: the mean loads contain the change of its weight. Record a zero in this attitude "

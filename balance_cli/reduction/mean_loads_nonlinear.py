@@ -81,6 +81,8 @@ def nonlinear_mean_loads(
     all_trims = calibration.all_trims
     level = np.zeros(len(model.components)) if all_trims is None else all_trims.level_weight_loads
     natural = model.zeros.mean(axis=0)
+    if all_trims is not None:
+        natural = natural + all_trims.readings_beside_shaft(None, model.channel_names)[0]
     zeros = CalibrationZeros(natural + model.readings(level[None])[0], model.zeros)
     reading = mean_reading(model.channel_names, natural, zeros, spectra, health, zero)
     rows = np.array(reading.rows, dtype=np.intp)

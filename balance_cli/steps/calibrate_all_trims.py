@@ -63,7 +63,8 @@ def fit_all_trims(
     points = replace(
         points,
         reading_units=tuple(units[name] for name in names),
-        declared_response=_declared_response(geometry, points),
+        declared_response=_declared_response(geometry, names),
+        plate_response=_plate_response(geometry, names),
         repeat_scatter=repeat_scatter(members.rows, names),
         check_points=np.concatenate([rows.is_check for rows in members.rows]),
     )
@@ -110,14 +111,38 @@ def _gravity_by_run(runs: Sequence[Run]) -> dict[str, Array]:
     return {run.name: gravity_directions(run.attitude) for run in runs if run.attitude is not None}
 
 
-def _declared_response(geometry: Geometry, points: CalibrationPoints) -> Array | None:
+def _declared_response(geometry: Geometry, channel_names: Sequence[str]) -> Array | None:
     """Static response (c, k) [V/N, V/(N m)] of the declared rig; None where its mechanics are not declared."""
     if missing_mechanics(geometry):
         return None
     system = balance_model(geometry).system()
     T = response(system, solve(system, np.zeros(1)))[0].real
-    rows = [geometry.channel_names.index(name) for name in points.channel_names]
+    rows = [geometry.channel_names.index(name) for name in channel_names]
     return np.asarray(T[rows] @ load_components(geometry).to_hub.T)
+
+
+def _plate_response(geometry: Geometry, channel_names: Sequence[str]) -> Array | None:
+    """Response (c, k) [V/(N m)] to a moment on the plate about each shaft with a torque meter, NaN elsewhere.
+
+    The meters do not read it. The cells read it as the moment of the hub where the plate carries the drive (NaN), and
+    else as those of the declared plate without a shaft. None without a shaft, or where the mechanics are not declared.
+    """
+    shaft = {meter.component: meter.carried_by for meter in geometry.shaft_meters}
+    components = load_components(geometry).names
+    if missing_mechanics(geometry) or not shaft.keys() & set(components):
+        return None
+    of_meter = [channel.name for channel in geometry.channels if channel.torque_meter]
+    cells = [name for name in channel_names if name not in of_meter]
+    rest = tuple(channel for channel in geometry.channels if not channel.torque_meter)
+    plate = geometry.model_copy(update={"torque_meter": None, "torque_meters": None, "channels": rest})
+    declared = _declared_response(plate, cells)
+    result = np.full((len(channel_names), len(components)), np.nan)
+    for name in shaft.keys() & set(components):
+        j = components.index(name)
+        result[[channel_names.index(meter) for meter in of_meter if meter in channel_names], j] = 0.0
+        if shaft[name] == "ground" and declared is not None:
+            result[[channel_names.index(cell) for cell in cells], j] = declared[:, j]
+    return result
 
 
 def _check_hold_out_channels(run: Run, names: tuple[str, ...]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +26,20 @@ def weight_of_metric_part(calibration: Calibration, gravity: Array | None) -> Ar
     if gravity is None:
         return all_trims.level_weight_loads
     return all_trims.tares.loads(gravity, all_trims.model.components)
+
+
+def without_weight_beside_shaft(
+    readings: PointReadings, zero: ZeroReading | None, calibration: Calibration
+) -> tuple[PointReadings, ZeroReading | None]:
+    """Readings and zero less what the weight makes the channels read beyond its hub loads, beside a shaft."""
+    all_trims = calibration.all_trims
+    if all_trims is None or all_trims.tares is None or all_trims.tares.beside_shaft is None:
+        return readings, zero
+    own = all_trims.readings_beside_shaft(readings.gravity, readings.channel_names)
+    if zero is not None:
+        gravity = None if zero.gravity is None else zero.gravity[None]
+        zero = replace(zero, mean=zero.mean - all_trims.readings_beside_shaft(gravity, zero.channel_names)[0])
+    return replace(readings, channels=readings.channels - own), zero
 
 
 def weight_covariance(readings: PointReadings, calibration: Calibration, zero: ZeroReading | None) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.temperature_terms import TemperatureTerms
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_TEMPERATURE, SEPARATOR
+from balance_cli.steps.point_attitude import without_weight_beside_shaft
 from balance_cli.steps.point_loads import PointLoads, point_loads
 from balance_cli.steps.point_zeros import PointReadings, ZeroReading
 
@@ -24,8 +25,11 @@ def point_loads_at_temperature(
 ) -> PointLoads:
     """Compute the loads of each row as `point_loads` does, with the effects of temperature taken out of the readings.
 
+    So is what the weight makes a torque meter, or the cells beside its shaft, read otherwise than its hub loads do.
+
     Where a temperature is not known, sigma contains what those of the calibration would do, and the row is flagged.
     """
+    readings, zero = without_weight_beside_shaft(readings, zero, calibration)
     terms = calibration.temperature
     if terms is None:
         return point_loads(readings, calibration, zero, non_iterative)

@@ -22,7 +22,7 @@ from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response, load_problem
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.load_fluctuation import add_load_fluctuation
-from balance_cli.reduction.mean_attitude import without_change_of_weight
+from balance_cli.reduction.mean_attitude import without_change_of_weight, zero_in_attitude
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
@@ -201,11 +201,13 @@ def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord 
             return nonlinear_mean_loads(spectra, calibration, all_trims.loads_model, health, reference)
         return linear_mean_loads(spectra, calibration, health, reference)
 
+    gravity = stated_gravity(record.run.conditions)
+    turned = zero_in_attitude(zero, gravity, calibration)
     if calibration.temperature is None:
-        loads = solve(record.spectra, zero)
+        loads = solve(record.spectra, turned)
     else:
-        loads = mean_loads_at_temperature(record, calibration.temperature, zero, solve)
-    return without_change_of_weight(loads, stated_gravity(record.run.conditions), zero, calibration)
+        loads = mean_loads_at_temperature(record, calibration.temperature, turned, solve)
+    return without_change_of_weight(loads, gravity, zero, calibration)
 
 
 def _computes_means(all_trims: AllTrimsCalibration, trims: int) -> bool:

@@ -30,7 +30,7 @@ from tests.support.page_content import tables, texts
 from tests.support.report_content import artefact
 from tests.support.rigs import CONFIGS, rotor_balance
 from tests.support.run_content import a_run
-from tests.support.static_runs import C0, RIG, loading
+from tests.support.static_runs import C0, RIG, loading, rigid_matrix
 
 SIX = np.array([[0.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 0.0], [-20.0, 0.0], [15.0, 90.0]])
 W, R = 200.0, np.array([0.02, -0.05, 0.12])
@@ -299,8 +299,10 @@ def tilted_runs():
     rng = np.random.default_rng(4)
     attitude = np.repeat(SIX[[0, 1, 3, 5]], len(loading()), axis=0)
     loads = np.tile(loading(), (4, 1))
-    total = loads + weight_loads(gravity_directions(attitude)) @ TRUE_W
-    read = 0.3 + total @ C0.T + 2e-4 * rng.normal(size=(len(loads), len(C0)))
+    weight = weight_loads(gravity_directions(attitude)) @ TRUE_W
+    read = (
+        0.3 + loads @ C0.T + weight @ rigid_matrix(RIG, on_plate=True).T + 2e-4 * rng.normal(size=(len(loads), len(C0)))
+    )
     names = tuple(c.name for c in RIG.channels if c.measures_dc)
     return Run("s1", RIG.rig, "static", names, len(loads), MemorySource(read, loads), trim="bare", attitude=attitude)
 

@@ -47,8 +47,11 @@ RIG = rotor_balance()
 STEPS = np.concatenate([np.arange(1, 6), np.arange(4, -6, -1), np.arange(-4, 1)]) / 5
 
 
-def rigid_matrix(geometry):
-    """C0 (dc channels, 6) by equilibrium of wrenches about the rig's origin, the cells' forces by their stiffness."""
+def rigid_matrix(geometry, on_plate=False):
+    """C0 (dc channels, 6) by equilibrium of wrenches about the rig's origin, the cells' forces by their stiffness.
+
+    The moment of the hub about a shaft goes through its torque meter; loads `on_plate` go beside it.
+    """
     cells = geometry.cells
     wrench = np.array([np.r_[c.direction, np.cross(c.position, c.direction)] for c in cells]).T
     k = np.array([c.effective_stiffness for c in cells])
@@ -56,11 +59,13 @@ def rigid_matrix(geometry):
     for j in range(3):
         load[:, j] = np.r_[np.eye(3)[j], np.cross(geometry.hub, np.eye(3)[j])]
         load[3 + j, 3 + j] = 1.0
-    if geometry.torque_meter:
-        load[:, 5] = 0.0
+    meter = geometry.torque_meter
+    through = None if meter is None or on_plate else 3 + "xyz".index(meter.axis)
+    if through is not None and meter.carried_by == "ground":
+        load[:, through] = 0.0
     motion = np.linalg.lstsq(wrench * k @ wrench.T, load, rcond=None)[0]
     force = dict(zip(geometry.cell_names, k[:, None] * wrench.T @ motion, strict=True))
-    torque = np.eye(6)[5]
+    torque = np.zeros(6) if through is None else np.eye(6)[through]
     channels = [c for c in geometry.channels if c.measures_dc]
     return np.array([c.sensitivity * (torque if c.cell is None else force[c.cell]) for c in channels])
 
