@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.combined_series import is_proportional
 from balance_cli.calibration.contradiction import PLAUSIBLE_FACTORS
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE, describe_load_series
 
@@ -33,9 +34,10 @@ def doubted_change(all_trims: AllTrimsCalibration | None, loads: Array) -> Array
     model, k = all_trims.model, loads.shape[1]
     x = loads / model.calibrated_range
     response = model.coefficients[:k].T
-    for moved, gain_errors in _excluded_series(all_trims, all_trims.load_series):
-        error = model.inverse() @ (gain_errors * (np.where(moved, x, 0.0) @ response.T)).T
-        change += (error.T * model.calibrated_range) ** 2
+    for effects, gain_errors in _excluded_series(all_trims, all_trims.load_series):
+        for effect in effects:
+            error = model.inverse() @ (gain_errors * (x @ effect @ response.T)).T
+            change += (error.T * model.calibrated_range) ** 2
     return np.asarray(np.sqrt(change))
 
 
@@ -49,8 +51,8 @@ def add_doubted_change(all_trims: AllTrimsCalibration | None, loads: Array, cova
     return covariance + (0.5 * change)[:, :, None] ** 2 * np.eye(loads.shape[1]), doubted
 
 
-def _excluded_series(all_trims: AllTrimsCalibration, series: NDArray[np.intp]) -> list[tuple[Mask, Array]]:
-    """Return the loads (k,) in doubt by each excluded load series, with the gain errors (c,) of channels there."""
+def _excluded_series(all_trims: AllTrimsCalibration, series: NDArray[np.intp]) -> list[tuple[list[Array], Array]]:
+    """Return for each excluded load series matrices (k, k) from loads to those in doubt, and gain errors (c,) there."""
     model, x = all_trims.model, all_trims.loads / all_trims.model.calibrated_range
     moved, words, fitted = [], [], []
     for name in np.unique(series):
@@ -65,10 +67,21 @@ def _excluded_series(all_trims: AllTrimsCalibration, series: NDArray[np.intp]) -
     against = np.sum([own for own, name in zip(moved, words, strict=True) if name in excluded], axis=0)
     in_doubt = agreeing < CLEAR_MAJORITY * against
     return [
-        (own & in_doubt, _gain_errors(all_trims, name))
-        for own, name in zip(moved, words, strict=True)
+        (_effects(x[series == number], own, in_doubt), _gain_errors(all_trims, name))
+        for number, own, name in zip(np.unique(series), moved, words, strict=True)
         if name in excluded
     ]
+
+
+def _effects(x: Array, moved: Mask, in_doubt: Mask) -> list[Array]:
+    """Return matrices (k, k) from loads to those of an excluded series, of rows x (r, k), that have its gain errors.
+
+    Where its loads changed in proportion, all of what it contradicts may be an error of either of them.
+    """
+    if not is_proportional(x):
+        return [np.diag((moved & in_doubt).astype(float))]
+    direction = np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[2][0]
+    return [np.outer(np.eye(len(moved))[j], direction / direction[j]) for j in np.flatnonzero(moved & in_doubt)]
 
 
 def _gain_errors(all_trims: AllTrimsCalibration, words: str) -> Array:

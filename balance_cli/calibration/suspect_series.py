@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import SuspectLoadSeries
+from balance_cli.calibration.combined_series import Exclusion, contradicting_series
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
@@ -51,15 +52,6 @@ class _SeriesCheck:
     unpredicted: frozenset[str]
 
 
-@dataclass(frozen=True)
-class _Exclusion:
-    """Rows (m,) of a load series to be excluded, its suspect channels, and in words what decided, empty by default."""
-
-    rows: NDArray[np.bool_]
-    channels: list[SuspectLoadSeries]
-    note: str = ""
-
-
 def exclude_suspect_series(
     points: CalibrationPoints, choice: TermChoice
 ) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
@@ -82,11 +74,12 @@ def exclude_suspect_series(
     return included, fit, tuple(suspect_series), tuple(notes)
 
 
-def _fit_and_find_worst(points: CalibrationPoints, choice: TermChoice) -> tuple[CalibrationModelFit, _Exclusion | None]:
+def _fit_and_find_worst(points: CalibrationPoints, choice: TermChoice) -> tuple[CalibrationModelFit, Exclusion | None]:
     """The fit, and the worst series: of loads alone the terms that the balance has are searched for here only."""
     fit = fit_calibration_model(points, choice)
     if not choice.is_linear:
-        return fit, _worst_series(points, fit, fit_calibration_model(points, LINEAR_TERMS))
+        linear_fit = fit_calibration_model(points, LINEAR_TERMS)
+        return fit, _worst_series(points, fit, linear_fit) or contradicting_series(points, fit, linear_fit)
     if not any(check.channels for check in _find_suspect_series(points, fit).values()):
         return fit, None
     return fit, _worst_series(points, fit_calibration_model(points, SEARCHED), fit)
@@ -94,7 +87,7 @@ def _fit_and_find_worst(points: CalibrationPoints, choice: TermChoice) -> tuple[
 
 def _worst_series(
     points: CalibrationPoints, fit: CalibrationModelFit, linear_fit: CalibrationModelFit
-) -> _Exclusion | None:
+) -> Exclusion | None:
     """The load series without which the others agree best; None where none is suspected.
 
     A load series is suspected only if it deviates both from the model of the loads alone and from that with the
@@ -126,13 +119,13 @@ def _worst_series(
         channels = [replace(suspect, alternatives=others) for suspect in candidates[worst]]
         names = [suspect.channel for suspect in channels]
         note = one_sided_note(points, fit, rivals[0].rows, names, rivals[0].words)
-        return _Exclusion(rivals[0].rows, channels, note)
+        return Exclusion(rivals[0].rows, channels, note)
     wrong = decide_by_declared(points, rivals)
     if wrong is None:
         raise undecided_error(points, rivals)
     both = " and ".join(each.words for each in rivals)
     note = f"{both} contradict each other; the response of the declared geometry refutes {rivals[wrong].words}"
-    return _Exclusion(rivals[wrong].rows, candidates.get(tied[wrong], candidates[worst]), note)
+    return Exclusion(rivals[wrong].rows, candidates.get(tied[wrong], candidates[worst]), note)
 
 
 def _unexplained_channels(

@@ -71,6 +71,41 @@ def test_without_contradiction_nothing_is_in_doubt():
     assert not any("contradicted" in flag for flag in applied_again(calibration, run)[0].flags)
 
 
+@cache
+def calibration_of_one_run(wrong):
+    """Six single series, My with Fx and My with Fz in one run without labels; in some My is stated 1.1 times."""
+    geometry = other_rig("D")
+    single = [{name: largest * step} for name, largest in LARGEST.items() for step in LADDER]
+    combined = [{name: LARGEST[name] * step for name in ("My", other)} for other in ("Fx", "Fz") for step in LADDER]
+    plan = CampaignPlan(runs=(StaticPlan(run="all", points=tuple(single + combined)),))
+    (run,) = simulate_campaign(draw_rig(geometry, np.random.default_rng(3)), plan, seed=3).runs
+    stated = run.read().loads.copy()
+    part = {"with Fx": slice(140, 160), "with both": slice(140, None), "alone": slice(None, 120), "none": slice(0)}[
+        wrong
+    ]
+    stated[part, 4] *= 1.1
+    calibration = calibrate([replace(run, source=MemorySource(run.read().channels, stated))], geometry)
+    return calibration, run
+
+
+@pytest.mark.parametrize("wrong", ["with Fx", "with both", "alone"])
+def test_a_wrong_load_of_a_combined_series_is_no_term_of_two_loads(wrong):
+    """Terms such as Fx |My| had followed it: no series was named, and no load in doubt."""
+    calibration, run = calibration_of_one_run(wrong)
+    assert not calibration.all_trims.model.is_nonlinear
+    assert all("My" in each.load_series for each in calibration.all_trims.suspect_series)
+    result, truth = applied_again(calibration, run)
+    assert np.all(np.abs(result.loads - truth)[:, 4] <= result.interval[:, 4] + 2e-3 * LARGEST["My"])
+    heavy = np.abs(truth[:, 4]) > 0.5 * LARGEST["My"]
+    assert all("model contradicted" in result.flags[row] for row in np.flatnonzero(heavy))
+
+
+def test_a_sound_run_of_single_and_combined_series_is_not_in_doubt():
+    calibration, run = calibration_of_one_run("none")
+    assert calibration.all_trims.suspect_series == ()
+    assert not any("contradicted" in flag for flag in applied_again(calibration, run)[0].flags)
+
+
 def applied_again(calibration, run):
     """Loads of the single series by the calibration, and those that were applied."""
     readings = point_readings(table_of_run(run, calibration.geometry), calibration, first_is_zero=True)
