@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 from balance_cli.campaign.recording.run import Run, pick_channels
+from balance_cli.campaign.rig.attitude import attitude_segments, gravity_directions
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals.run_samples import sample_rate
 
@@ -42,10 +43,11 @@ class ResponseRows:
     """Rows (k,) of one run: `frequency` [Hz], `channels` (k, c) [V], `loads` (k, 6) [N, N m], complex.
 
     `reference` (k,) is the index of the component that drives a row; `band` (k,) numbers the bands alike in all runs.
-    Load points of a static run have frequency zero, reference -1 and band -1; they count from their mean. Channels that
-    the run lacks, or that are not finite, are NaN. `noise_share` (k, c) is the energy that a channel has without a load
-    relative to that of its row; zero in static runs. `by_points` are the components that forces beside the hub drive at
-    once, with the reference; none where loads act at the hub.
+    Load points of a static run have frequency zero, reference -1 and band -1; they count from the mean of their
+    attitude, in which the rig has a weight of its own. Channels that the run lacks, or that are not finite, are NaN.
+    `noise_share` (k, c) is the energy that a channel has without a load relative to that of its row; zero in static
+    runs. `by_points` are the components that forces beside the hub drive at once, with the reference; none where loads
+    act at the hub.
     """
 
     run: str
@@ -85,7 +87,8 @@ def _static_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | Non
         return None
     rows = len(loads)
     index = np.full(rows, -1)
-    channels, loads = channels - channels.mean(axis=0), loads - loads.mean(axis=0)
+    attitude = attitude_segments(index, None if run.attitude is None else gravity_directions(run.attitude))
+    channels, loads = _from_means(channels, attitude), _from_means(loads, attitude)
     return ResponseRows(
         run=run.name,
         kind=run.kind,
@@ -98,6 +101,13 @@ def _static_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | Non
         band=index,
         noise_share=np.zeros(channels.shape),
     )
+
+
+def _from_means(values: Array, group: Index) -> Array:
+    """Return values (m, c) less the mean of their group (m,)."""
+    sums = np.zeros((group.max() + 1, values.shape[1]))
+    np.add.at(sums, group, values)
+    return np.asarray(values - (sums / np.bincount(group)[:, None])[group])
 
 
 def _read(run: Run, channel_names: tuple[str, ...], start: int) -> tuple[Array, Array]:
