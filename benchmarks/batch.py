@@ -96,9 +96,14 @@ def _measure() -> tuple[float, float, float, dict[str, float]]:
     data = pickle_reduction(Reduction(options, geometry, calibrate(statics, geometry), source, None, None))
     with TemporaryDirectory() as folder:
         paths = write_wind_runs(Path(folder), geometry, RUNS, system=source.system)
-        read = _time_per_run(_read_samples, paths)
-        opened = _time_per_run(lambda path: open_run(path, hold=True), paths)
-        reduced = _time_per_run(lambda path: (survey_run(Item(path, data)), reduce_file(Item(path, data))), paths)
+        read, opened, reduced = _times_per_run(
+            [
+                _read_samples,
+                lambda path: open_run(path, hold=True),
+                lambda path: (survey_run(Item(path, data)), reduce_file(Item(path, data))),
+            ],
+            paths,
+        )
         stages = _time_of_stages(lambda path: reduce_file(Item(path, data)), paths)
     return read, opened, reduced, stages
 
@@ -108,15 +113,19 @@ def _read_samples(path: Path) -> object:
         return np.asarray(file["channels"][()], np.float64)
 
 
-def _time_per_run(call: Callable[[Path], object], paths: Sequence[Path]) -> float:
-    """Return the processor time of a run [s], the median of all, after one run that loads what is loaded once."""
-    call(paths[0])
+def _times_per_run(calls: Sequence[Callable[[Path], object]], paths: Sequence[Path]) -> list[float]:
+    """Return the processor times of a run [s], medians of all runs, on each of which the calls take turns.
+
+    The first run is called once before: it loads what is loaded once.
+    """
     times = []
-    for path in paths:
-        begin = time.process_time()
-        call(path)
-        times.append(time.process_time() - begin)
-    return float(np.median(times))
+    for path in (paths[0], *paths):
+        clock = [time.process_time()]
+        for call in calls:
+            call(path)
+            clock.append(time.process_time())
+        times.append(np.diff(clock))
+    return [float(seconds) for seconds in np.median(times[1:], axis=0)]
 
 
 def _time_of_stages(call: Callable[[Path], object], paths: Sequence[Path]) -> dict[str, float]:
