@@ -25,6 +25,9 @@ Mask = NDArray[np.bool_]
 
 ROW_ERROR_SHARE = 0.02
 """Of the known load: error of a harmonic of a check run that matters. Force cells of exciters are not known better."""
+SEVERAL_HARMONICS = 3
+"""Harmonics of a component that a check run contradicts from which it does so as a whole: one is a line at a mode, and
+two may lie beside it, but the response between three of them is not right either."""
 INTERACTION_SHARE = 0.2
 """Of the largest applied force: a load that was not applied, from which it contradicts. An exciter that is tilted by
 ten degrees applies 17 %."""
@@ -68,10 +71,11 @@ def flag_by_check_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLo
     """Return the loads with those flagged that check runs among them contradict, and what these contradict.
 
     In a check run these are the harmonics that differ from the known loads by more than 2 % and five standard
-    deviations. Where a component as a whole differs by more than a tenth, or one that was not applied has a fifth of
-    the largest force, all its harmonics in all runs are flagged; where half of the components do, those of all. Where
-    one or two channels explain it, all loads are flagged: the mean loads rest on them, too. A mean that differs from
-    the stated one is flagged in the check run, and by more than a tenth in all runs.
+    deviations. Where a component does so at several harmonics or differs as a whole by more than a tenth, or one that
+    was not applied has a fifth of the largest force, all its harmonics in all runs are flagged; where half of the
+    components do, those of all. Where one or two channels explain it, all loads are flagged: the mean loads rest on
+    them, too. A mean that differs from the stated one is flagged in the check run, and by more than a tenth in all
+    runs.
     """
     contradictory, with_wrong_rows = list[CheckContradiction](), False
     for name, loads in runs.items():
@@ -132,16 +136,21 @@ class _FlaggedRuns(Mapping[str, RunLoads]):
 
 
 def contradicted_components(loads: RunLoads) -> dict[str, float]:
-    """Return the relative error of each applied component of a check run that its known loads contradict."""
+    """Return the relative error of each applied component of a check run that its known loads contradict.
+
+    As a whole, or at several harmonics.
+    """
     if loads.check is None:
         return {}
+    harmonics = np.count_nonzero(_contradicted_rows(loads)[1:], axis=0)
     last = min(HARMONICS_COMPARED, len(loads.amplitude) - 1)
     deviation = np.sqrt(np.mean(_variance(loads)[1 : last + 1], axis=0))
     size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : last + 1]) ** 2, axis=0))
     wrong = {}
     for name, error in loads.check.load_error.items():
         m = loads.components.index(name)
-        if error > MODEL_ERROR_SHARE and error * size[m] > SIGNIFICANT * deviation[m]:
+        as_a_whole = error > MODEL_ERROR_SHARE and error * size[m] > SIGNIFICANT * deviation[m]
+        if as_a_whole or harmonics[m] >= SEVERAL_HARMONICS:
             wrong[name] = error
     return wrong
 

@@ -74,6 +74,12 @@ def test_a_single_harmonic_is_flagged_in_the_check_run_alone(loads):
     assert [h for h, row in enumerate(check.flags) if any("contradicted" in flag for flag in row)] == [4]
 
 
+def test_several_harmonics_are_flagged_in_all_runs(loads):
+    """A gyroscopic moment changed My of a check run by 4 %, and of a wind run by 26 % at 3/rev, without a flag."""
+    flagged, found = flag_by_check_runs(_with_error(loads, "Fz", 0.05, slice(2, 5)))
+    assert _flagged(flagged) == {("check", "Fz"), ("wind", "Fz")} and set(found[0].components) == {"Fz"}
+
+
 def _with_mean(loads, share, flag=""):
     """The check run with a stated mean of Fz from which the reduced one departs by a share."""
     check = next(iter(loads.values()))
