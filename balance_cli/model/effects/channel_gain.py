@@ -14,6 +14,9 @@ from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
+LEAST_GAIN = 1e-6
+"""A channel of less is dead. Of none the relative derivatives would be infinite: fits of a reversed one end at it."""
+
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
     """Channels, and groups beside which some cell has another channel.
@@ -28,7 +31,8 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    return (EffectParameter("gain", "1", 1.0, 0.01, "Ratio of the actual to the declared sensitivity.", lower=0.0),)
+    description = "Ratio of the actual to the declared sensitivity."
+    return (EffectParameter("gain", "1", 1.0, 0.01, description, lower=LEAST_GAIN),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
