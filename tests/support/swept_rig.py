@@ -19,7 +19,7 @@ LOAD_NOISE = 0.02
 
 @dataclass(frozen=True)
 class SweptRig:
-    """Channels from components through five modes of damping ratio `zeta`; noise is per sample."""
+    """Channels from components through some modes [Hz] of damping ratio `zeta`; noise is per sample."""
 
     channels: int = 5
     components: tuple[str, ...] = ("Fx",)
@@ -27,11 +27,13 @@ class SweptRig:
     noise: float = NOISE
     load_noise: float = LOAD_NOISE
     rate: float = RATE
+    modes: tuple[float, ...] = MODES
     shapes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(7)
-        object.__setattr__(self, "shapes", 0.004 * rng.normal(size=(len(MODES), self.channels, len(self.components))))
+        size = len(self.modes), self.channels, len(self.components)
+        object.__setattr__(self, "shapes", 0.004 * rng.normal(size=size))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,16 +42,14 @@ class SweptRig:
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """Exact response (k, c, u)."""
         z = 2 * np.pi * np.asarray(frequency) / self.rate
-        parts = (
-            signal.freqz(*self._filter(f), z)[1][:, None, None] * p for f, p in zip(MODES, self.shapes, strict=True)
-        )
-        return sum(parts)
+        filters = map(self._filter, self.modes)
+        return sum(signal.freqz(*one, z)[1][:, None, None] * p for one, p in zip(filters, self.shapes, strict=True))
 
     def record(self, loads: np.ndarray, seed: int, **attributes: object) -> Run:
         """What is recorded when `loads` (n, u) act on the rig at rest."""
         rng = np.random.default_rng(seed)
         y = np.zeros((len(loads), self.channels))
-        for f, p in zip(MODES, self.shapes, strict=True):
+        for f, p in zip(self.modes, self.shapes, strict=True):
             y += signal.lfilter(*self._filter(f), loads, axis=0) @ p.T
         measured = np.zeros((len(loads), 6))
         columns = [COMPONENTS.index(name) for name in self.components]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local.models import LocalModels, fit_local_models
+from balance_cli.signals.local.models import RECORD_MODEL_ORDERS, LocalModels, fit_local_models
 from balance_cli.signals.local.record_drift import record_drift
 from balance_cli.signals.local.scaled_spectrum import LEAST_POWER_SHARE, record_spectrum
 from balance_cli.signals.local.window import Remainder, denominator_errors, poles, remainder_at_center
@@ -86,17 +86,32 @@ def nonperiodic_record(
 
     Each group of neighboring lines gives as many experiments as components were excited, one after the other at the
     same frequency. The covariance is that of the noise of channels and loads, without correlation between them. Raises
-    UserError where the run has no loads, its record is too short, or the loads exceed their noise at no line.
+    UserError where the run has no loads, its record is too short, the loads exceed their noise at no line, or that of
+    the channels is not known.
     """
     models = fit_local_models(record_spectrum(run, channel_names, band))
     groups = [group for w in range(len(models.fit)) for group in _line_groups(models, w)]
     groups = _excited_groups(groups, models.noise.loads)
     if not groups:
-        raise run_error(run, "the loads exceed their noise at no line", "Excite more strongly", "loads")
+        raise run_error(run, "the loads exceed their noise at no line", _remedy(models), "loads")
+    if models.noise.dof <= len(channel_names):
+        fault = (
+            f"what local models leave has {models.noise.dof:.2g} degrees of freedom, too few for the noise of channels"
+        )
+        raise run_error(run, fault, _remedy(models))
     u = models.spectrum.loads.shape[1]
     bin_index = np.rint(models.spectrum.frequency * run.samples / sample_rate(run)).astype(np.intp)
     first, weight = _rows_of_one_width(groups, len(bin_index))
     return NonperiodicRecord(_to_run_spectrum(models, groups), bin_index, np.repeat(first, u), weight)
+
+
+def _remedy(models: LocalModels) -> str:
+    """Noise that covers the loads is there, or it is what models of too few poles leave of a short record."""
+    lines = min(len(fit.r) for fit in models.fit)
+    most = max(orders.denominator for orders in RECORD_MODEL_ORDERS)
+    width = lines * (models.spectrum.frequency[1] - models.spectrum.frequency[0])
+    remedy = f"record for longer, where there are more than {most} modes within {lines} lines, {width:.3g} Hz"
+    return f"Excite more strongly; or {remedy}"
 
 
 def _rows_of_one_width(groups: Sequence[_Experiments], lines: int) -> tuple[Index, ComplexArray]:
