@@ -4,7 +4,8 @@ Where each load was applied by itself, the readings tell how they curve with tha
 cause together. A channel that curves with its own signal s, by q s^2, has the squares q s_i^2 and the products
 2 q s_i s_j: twice the geometric mean of two squares. Therefore a product that was not tested has an unknown coefficient
 of zero mean, with PRODUCT_OVER_SQUARE times the rms of the channel's nonlinear parts as its standard deviation. What
-the schedule tells of it is combined with that by Bayes' rule; a product that would have been found is tested.
+the schedule tells of it is combined with that by Bayes' rule; a product that would have been found is tested. The
+products that the schedule tells are as good a sample of the others, and share in that standard deviation.
 A model without nonlinear terms has no such products: no load says that the balance is not linear.
 
 A product of a varied load with one that hangs changes the gain of a channel. Where one load series alone has both, a
@@ -125,7 +126,8 @@ def find_untested_products(
     prior = np.maximum(_prior_sigma(model) ** 2, np.finfo(float).tiny)
     gain = information[:, None] * prior / scale
     is_open = (gain < FOUND_FROM**2) & ~_has_product(model, pairs)
-    variance = np.where(is_open, prior / (1.0 + gain), 0.0)
+    prior = _with_told_products(prior, _products(model, pairs), is_open)
+    variance = np.where(is_open, prior / (1.0 + information[:, None] * prior / scale), 0.0)
     variance += _gain_like_variance(model, loads / model.calibrated_range, load_series, pairs)
     some = (variance > 0.0).any(axis=1)
     x = loads / model.calibrated_range
@@ -208,12 +210,26 @@ def _gain_like_variance(model: CalibrationModel, x: Array, load_series: Index, p
 
 def _has_product(model: CalibrationModel, pairs: Index) -> NDArray[np.bool_]:
     """Whether (q, c) the model of a channel has a term of both loads."""
-    has = np.zeros((len(pairs), len(model.channel_names)), bool)
+    return np.asarray(_products(model, pairs) != 0.0)
+
+
+def _products(model: CalibrationModel, pairs: Index) -> Array:
+    """Coefficients (q, c) [V] of the terms of both loads, of several the root of the sum of their squares."""
+    square = np.zeros((len(pairs), len(model.channel_names)))
     place = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
     for term, column in zip(model.parsed_terms, model.coefficients, strict=True):
         if not term.single_load:
-            has[place[term.loads]] |= column != 0.0
-    return has
+            square[place[term.loads]] += column**2
+    return np.sqrt(square)
+
+
+def _with_told_products(prior: Array, products: Array, is_open: NDArray[np.bool_]) -> Array:
+    """Return the variance (c,) of products that are open (q, c), by those that the schedule tells, zeros among them.
+
+    The variance by the squares counts as one product more.
+    """
+    determined = ~is_open
+    return np.asarray((prior + np.sum(determined * products**2, axis=0)) / (1.0 + np.count_nonzero(determined, axis=0)))
 
 
 def untested_components(components: Sequence[str], variance: Array, tested: Array) -> tuple[str, ...]:

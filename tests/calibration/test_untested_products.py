@@ -60,6 +60,39 @@ def test_combined_loads_are_flagged_and_covered(power):
     assert np.max(np.abs(without)) > 30.0  # what the errors of the coefficients and the noise say by themselves
 
 
+def generic_readings(loads, rng_seed):
+    """Readings (m, 8) with squares and products of all loads, of like size and random sign."""
+    x = np.atleast_2d(loads) / AMPLITUDE
+    size = 3e-3 * np.random.default_rng([rng_seed, 1]).standard_normal((6, 6, len(NAMES)))
+    return x * AMPLITUDE @ C0.T + SIGNAL_RANGE * np.einsum(
+        "mi,mj,ijc->mc", x, x, np.triu(np.ones((6, 6)))[..., None] * size
+    )
+
+
+@pytest.mark.parametrize(
+    ("readings", "least"), [(lambda loads, seed: curved_readings(loads, 2), 0.3), (generic_readings, 0.5)]
+)
+def test_products_that_are_told_say_how_large_the_others_are(readings, least):
+    """Nine of fifteen products are told: errors over sigma had been 0.18 and 0.29, rms, now 0.39 and 0.67.
+
+    On this rig some loads reach one channel alone, which has no products of them.
+    """
+    steps = np.r_[np.arange(1, 6), np.arange(4, -1, -1), -np.arange(1, 6), np.arange(-4, 1)] / 5.0
+    single = [np.outer(steps, load) for load in np.eye(6)]
+    pairs = [(i, j) for i in range(6) for j in range(6) if (i + j) % 2]
+    loads = AMPLITUDE * np.vstack([*single, *(np.outer(steps, np.eye(6)[i]) + 0.6 * np.eye(6)[j] for i, j in pairs)])
+    z = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        channels = readings(loads, seed) + NOISE * rng.normal(size=(len(loads), len(NAMES)))
+        cal = calibrate([Run("static", RIG.rig, "static", NAMES, len(loads), MemorySource(channels, loads))], RIG)
+        for applied in 0.8 * AMPLITUDE * rng.uniform(-1, 1, (20, 6)):
+            found = mean_loads(cal, readings(applied, seed)[0] + 2e-5 * rng.normal(size=len(NAMES)))
+            z.append((found.loads - applied) / found.sigma)
+    assert least < np.sqrt(np.mean(np.square(z))) < 1.1
+    assert np.mean(np.abs(z) < 1.96) > 0.95
+
+
 def variance_of_coefficients(cal, found):
     return np.diag(cal.all_trims.model.load_covariance(found.loads[None])[0])
 
