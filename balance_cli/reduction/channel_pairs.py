@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.percent import percent_text
-from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.response_sources import ResponseSource, ResponseWithoutModel
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.anti_alias import anti_alias_response
@@ -99,8 +99,11 @@ def add_pair_gains(
     """Return the loads with what the gains of two channels of a cell differ by, and these pairs.
 
     All harmonics together show a gain that drifts by 3 % in a short record, where no single one does and no flag says
-    it: below LARGEST_DIFFERENCE. It is among what the response is known to miss, as an error of either channel.
+    it: below LARGEST_DIFFERENCE. It is among what the response is known to miss, as an error of either channel. A
+    response without a model has errors of its own at each harmonic, which would be taken for gains: it keeps its loads.
     """
+    if isinstance(source, ResponseWithoutModel):
+        return solution, ()
     pairs, T = _pairs_of_channels(record, geometry, source, response)
     names, error, gains = record.health.live, solution.model_covariance.copy(), []
     variance = np.diagonal(solution.covariance, axis1=1, axis2=2)
