@@ -1,11 +1,11 @@
 """The loads that act for those that the exciters' force cells record, and their derivatives.
 
 A force cell may read `gain` times its load, late by `delay`; a load may follow what is recorded with a lag a, b; and a
-`mass` beyond the force cell moves with the hub, along its own axis or another one: with D the diagonal matrix of the
-masses along each component, summed over the exciters that are attached in a run, H the motion of the hub per unit load
-and C the cross-axis matrix,
+`mass` beyond the force cell moves with the hub, and a `stiffness` holds it, along its own axis or another one: with D
+the diagonal matrix of the dynamic stiffness s^2 mass + stiffness along each component, summed over the exciters that
+are attached in a run, H the motion of the hub per unit load and C the cross-axis matrix,
 
-    e = exp(s delay) / gain / (1 + s a + s^2 b) recorded load,        (1 + s^2 D H) v = e,        true load = C v
+    e = exp(s delay) / gain / (1 + s a + s^2 b) recorded load,        (1 + D H) v = e,        true load = C v
 
 In static runs weights act, for which there is the matrix of their misalignment alone.
 """
@@ -27,9 +27,14 @@ Mask = NDArray[np.bool_]
 
 
 def has_plain_exciters(equations: Equations) -> bool:
-    """Whether force cells read what acts beyond them: no gain, delay, lag or mass at its present value."""
-    others = (equations.load_delay, equations.load_lag, equations.exciter_mass)
-    return np.array_equal(equations.load_gain.value, np.ones(6)) and not any(np.any(part.value) for part in others)
+    """Whether force cells read what acts beyond them: no gain, delay, lag, mass or stiffness at its present value."""
+    others = np.any(equations.load_delay.value) or np.any(equations.load_lag.value)
+    return np.array_equal(equations.load_gain.value, np.ones(6)) and not (others or exciters_resist_motion(equations))
+
+
+def exciters_resist_motion(equations: Equations) -> bool:
+    """Whether a mass or a stiffness beyond a force cell takes a part of its load where the hub moves."""
+    return bool(np.any(equations.exciter_mass.value) or np.any(equations.exciter_stiffness.value))
 
 
 def true_load_matrices(
@@ -46,11 +51,11 @@ def true_load_matrices(
 
 
 def _load_beyond_cell(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
-    """Matrices (K, 6, 6) from recorded loads to those beyond the exciters' masses, before the cross-axis matrix."""
+    """Matrices (K, 6, 6) from recorded loads to those beyond what the exciters take, before the cross-axis matrix."""
     e = _cell_factor(system.equations, solution.frequency[index])
-    if not np.any(system.equations.exciter_mass.value):
+    if not exciters_resist_motion(system.equations):
         return np.asarray(e[:, None, :] * np.eye(6))
-    return np.asarray(_inertia_inverse(system, solution, index, attached) * e[:, None, :])
+    return np.asarray(_inverse_reaction(system, solution, index, attached) * e[:, None, :])
 
 
 def _cell_factor(equations: Equations, frequency: Array) -> ComplexArray:
@@ -67,12 +72,18 @@ def lag_denominator(equations: Equations, frequency: Array) -> ComplexArray:
     return np.asarray(1.0 + s * first + s**2 * second)
 
 
-def _inertia_inverse(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
-    """(1 + s^2 D H)^-1 (K, 6, 6)."""
-    square = -((2 * np.pi * solution.frequency[index]) ** 2)
-    mass = square[:, None] * (attached @ system.equations.exciter_mass.value)
+def _inverse_reaction(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
+    """(1 + D H)^-1 (K, 6, 6)."""
+    resistance = _dynamic_stiffness(system.equations, solution.frequency[index], attached)
     motion = (hub_motion(system, solution) @ system.equations.exciter_cross_axis.value)[index]
-    return np.asarray(np.linalg.inv(np.eye(6) + mass[:, :, None] * motion))
+    return np.asarray(np.linalg.inv(np.eye(6) + resistance[:, :, None] * motion))
+
+
+def _dynamic_stiffness(equations: Equations, frequency: Array, attached: Mask) -> Array:
+    """Diagonals (K, 6) of D: s^2 mass + stiffness of the exciters that are attached."""
+    square = -((2 * np.pi * frequency[:, None]) ** 2)
+    mass, stiffness = equations.exciter_mass.value, equations.exciter_stiffness.value
+    return np.asarray(square * (attached @ mass) + attached @ stiffness)
 
 
 def true_loads(
@@ -104,16 +115,16 @@ def true_load_derivatives(
 
 
 def _load_parameters(equations: Equations, is_static: bool) -> Mask:
-    """Which parameters (p,) change the true loads: all of them where a mass moves with the hub."""
+    """Which parameters (p,) change the true loads: all of them where exciters resist its motion."""
     cross_axis = equations.cross_axis(is_static).derivative
     own = np.asarray(cross_axis.any(axis=(1, 2)))
     if is_static:
         return own
-    if np.any(equations.exciter_mass.value):
+    if exciters_resist_motion(equations):
         return np.ones_like(own)
     for part in (equations.load_gain, equations.load_delay):
         own = np.asarray(own | part.derivative.any(axis=1))
-    for part in (equations.load_lag, equations.exciter_mass):
+    for part in (equations.load_lag, equations.exciter_mass, equations.exciter_stiffness):
         own = np.asarray(own | part.derivative.any(axis=(1, 2)))
     return own
 
@@ -121,10 +132,11 @@ def _load_parameters(equations: Equations, is_static: bool) -> Mask:
 def _beyond_cell_derivatives(
     system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask, own: Mask
 ) -> ComplexArray | None:
-    """Derivatives (K, 6, q) of the loads beyond the exciters' masses, by the parameters `own` (p,)."""
+    """Derivatives (K, 6, q) of the loads beyond what the exciters take, by the parameters `own` (p,)."""
     equations = system.equations
-    gain, delay, lag, mass = equations.load_gain, equations.load_delay, equations.load_lag, equations.exciter_mass
-    if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, lag, mass)):
+    gain, delay, lag = equations.load_gain, equations.load_delay, equations.load_lag
+    resistance = (equations.exciter_mass, equations.exciter_stiffness)
+    if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, lag, *resistance)):
         return None
     s = 2j * np.pi * solution.frequency[index][:, None, None]
     recorded = _cell_factor(equations, solution.frequency[index]) * loads
@@ -133,16 +145,29 @@ def _beyond_cell_derivatives(
         first, second = np.moveaxis(lag.derivative[own], 2, 0)
         denominator = lag_denominator(equations, solution.frequency[index])[:, :, None]
         change = change - recorded[:, :, None] * (s * first.T + s**2 * second.T) / denominator
-    if not (np.any(mass.value) or np.any(mass.derivative)):
+    if not any(np.any(part.value) or np.any(part.derivative) for part in resistance):
         return np.asarray(change)
-    inverse = _inertia_inverse(system, solution, index, attached)
+    inverse = _inverse_reaction(system, solution, index, attached)
     beyond = np.matmul(inverse, recorded[:, :, None])[:, :, 0]
+    return np.asarray(
+        np.matmul(inverse, change - _reaction_derivatives(system, solution, index, beyond, attached, own))
+    )
+
+
+def _reaction_derivatives(
+    system: System, solution: Solution, index: Index, beyond: ComplexArray, attached: Mask, own: Mask
+) -> ComplexArray:
+    """Derivatives (K, 6, q) by the parameters `own` (p,) of D H v, at constant v: the loads `beyond` (K, 6)."""
+    equations, frequency = system.equations, solution.frequency[index]
+    square = -((2 * np.pi * frequency[:, None, None]) ** 2)
+    mass, stiffness = equations.exciter_mass.derivative[own], equations.exciter_stiffness.derivative[own]
     acting = beyond @ equations.exciter_cross_axis.value.T
     motion = np.matmul(hub_motion(system, solution)[index], acting[:, :, None])
-    change = change - s**2 * np.einsum("ki,qij->kjq", attached, mass.derivative[own]) * motion
-    if np.any(mass.value):
-        of_motion = hub_motion_jacobian(system, solution, index, acting)[:, :, own]
-        turned = multiply_derivatives(equations.exciter_cross_axis.derivative[own], beyond)
-        of_motion = of_motion + np.matmul(hub_motion(system, solution)[index], turned)
-        change = change - s**2 * (attached @ mass.value)[:, :, None] * of_motion
-    return np.asarray(np.matmul(inverse, change))
+    of_resistance = square * np.einsum("ki,qij->kjq", attached, mass) + np.einsum("ki,qij->kjq", attached, stiffness)
+    if not exciters_resist_motion(equations):
+        return np.asarray(of_resistance * motion)
+    of_motion = hub_motion_jacobian(system, solution, index, acting)[:, :, own]
+    turned = multiply_derivatives(equations.exciter_cross_axis.derivative[own], beyond)
+    of_motion = of_motion + np.matmul(hub_motion(system, solution)[index], turned)
+    resistance = _dynamic_stiffness(equations, frequency, attached)
+    return np.asarray(of_resistance * motion + resistance[:, :, None] * of_motion)

@@ -35,19 +35,18 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
     """Equations of plate and shaft at the parameters `value` by name, with derivatives by `p` free parameters."""
     mass, B, F = _plate(geometry, value)
     k, plate_damping = _springs_and_damping(geometry, value, B)
-    damping = plate_damping(mass)
     springs = (*geometry.cell_names, *(meter.label(TORQUE) for meter in geometry.shaft_meters))
     coordinates = (*geometry.freedom, *(meter.label(SHAFT) for meter in geometry.shaft_meters))
+    damping, n = plate_damping(mass), len(coordinates)
     if geometry.shaft_meters:
         mass, damping, B, k, F = _with_shafts(geometry, value, mass, damping, B, k, F)
-    nothing, n = constant(np.zeros_like(mass.value), p), len(coordinates)
     equations = Equations(
         coordinates=coordinates,
         springs=springs,
         mass=mass,
         damping=damping,
-        gyroscopic=nothing,
-        extra_stiffness=nothing,
+        gyroscopic=constant(np.zeros((n, n)), p),
+        extra_stiffness=constant(np.zeros((n, n)), p),
         elongation=B,
         stiffness=k,
         loss=constant(np.zeros(len(springs)), p),
@@ -62,6 +61,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         load_delay=constant(np.zeros(6), p),
         load_lag=constant(np.zeros((6, 2)), p),
         exciter_mass=constant(np.zeros((6, 6)), p),
+        exciter_stiffness=constant(np.zeros((6, 6)), p),
         center=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
         freedom=tuple(free_index(geometry)),
         non_metric_motion=constant(np.zeros((6, n)), p),

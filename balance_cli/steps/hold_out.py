@@ -18,7 +18,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.io.errors import UserError
-from balance_cli.model.exciter_loads import true_load_matrices
+from balance_cli.model.exciter_loads import exciters_resist_motion, true_load_matrices
 from balance_cli.model.system_response import solve
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED, check_errors
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response
@@ -110,16 +110,16 @@ def _expected_load_errors(loads: CheckErrors, solution: SolvedLoads, components:
 def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> ComplexArray:
     """Return the matrices (n+1, 6, 6) from recorded to true loads at harmonics 0 to n of a check run.
 
-    Masses beyond the force cells are those of the exciters of the sweeps, with which a check run may have been made or
-    not: of the two the one that describes its channels better.
+    What takes a part of the loads beyond the force cells belongs to the exciters of the sweeps, with which a check run
+    may have been made or not: of the two the one that describes its channels better.
     """
     return _choose_load_matrices(record, model)[0]
 
 
 def _choose_load_matrices(record: RotorRecord, model: IdentifiedModel) -> tuple[ComplexArray, str | None]:
-    """The same, and OTHER_EXCITERS where they are those without the masses."""
+    """The same, and OTHER_EXCITERS where they are those without it."""
     attached = _load_matrices(record, model, attached=True)
-    if not np.any(identified_system(model).equations.exciter_mass.value):
+    if not exciters_resist_motion(identified_system(model).equations):
         return attached, None
     source, without = model_source(model), _load_matrices(record, model, attached=False)
     error, error_without = (_harmonic_errors(record, model, source, each)[0] for each in (attached, without))
@@ -127,7 +127,7 @@ def _choose_load_matrices(record: RotorRecord, model: IdentifiedModel) -> tuple[
 
 
 def _load_matrices(record: RotorRecord, model: IdentifiedModel, attached: bool) -> ComplexArray:
-    """The same with the masses of the exciters `attached` that apply a load, or without any."""
+    """The same with what the exciters take that are `attached` (those that apply a load), or without any."""
     system, spectra = identified_system(model), record.spectra
     applied = attached & np.any(spectra.amplitude[:, spectra.columns(COMPONENTS)] != 0, axis=0)
     solution = solve(system, spectra.frequency_hz, record.spin)

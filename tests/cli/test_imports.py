@@ -24,14 +24,16 @@ print(json.dumps(list(sys.modules)))
 """
 RESPONSE = ("--calibration", "cal.h5", "--model", "model.h5")
 CALLS = {
-    "modes": (("modes", "-g", "geometry.yaml"), 180),
-    "check": (("check", "wind.h5"), 160),
-    "sweep-tf": (("sweep-tf", "-g", "geometry.yaml", "sweep.h5", "-o", "tf.h5"), 195),
-    "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 275),
-    "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 290),
-    "export": (("export", "made.h5", "-o", "made.csv"), 200),
+    "modes": (("modes", "-g", "geometry.yaml"), 138),
+    "check": (("check", "wind.h5"), 118),
+    "sweep-tf": (("sweep-tf", "-g", "geometry.yaml", "sweep.h5", "-o", "tf.h5"), 153),
+    "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 233),
+    "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 248),
+    "export": (("export", "made.h5", "-o", "made.csv"), 158),
 }
-"""Words of each call, and the modules of the package that it may load: a tenth more than it does."""
+"""Words of each call, and the modules of the package that it may load beside the effects: a tenth more than it does."""
+EFFECT_FILES = "balance_cli.model.effects."
+"""The library, one small file an effect: a command that knows one knows all, and their number is none of its doing."""
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,7 @@ def test_a_command_loads_what_it_needs(folder, name):
     modules = loaded_modules(folder, *words)
     assert HEAVY & set(modules) == set()
     own = [module for module in modules if module.partition(".")[0] == "balance_cli"]
-    assert len(own) <= limit
+    assert len([module for module in own if not module.startswith(EFFECT_FILES)]) <= limit
 
 
 def test_a_page_without_a_plan_loads_no_simulation(folder):

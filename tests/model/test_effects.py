@@ -185,6 +185,7 @@ TRUTHS = {
     "saturation": truth("saturation", ("x.strain",), plan=together(), compression=0.08),
     "exciter-low-pass": truth("exciter-low-pass", ("Fy",), cutoff=2e4, natural_period=2e-4),
     "exciter-mass": truth("exciter-mass", ("Fz",), plan=campaign(), mass=0.02),
+    "exciter-stiffness": truth("exciter-stiffness", ("Fz", "Fx"), plan=campaign(), stiffness=3e3),
     "load-gain": truth("load-gain", ("Fx",), gain=1.0005),
     "load-delay": truth("load-delay", ("Fy",), delay=-2e-6),
     "exciter-misalignment": truth("exciter-misalignment", ("Fz", "Fx"), fraction=2e-4),

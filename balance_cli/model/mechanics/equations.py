@@ -127,8 +127,8 @@ class Equations:
       `weight_cross_axis` (6, 6) those of static runs.
     - The exciters' force cells read `load_gain` (6,) times their loads, late by `load_delay` (6,) [s]; the loads follow
       what is recorded by the terms `load_lag` (6, 2) [s, s2] of s and s^2 in a denominator; while an
-      exciter is attached, its row of `exciter_mass` (6, 6) [kg, kg m2] moves with the hub along the six components
-      (see `model.exciter_loads`).
+      exciter is attached, its row of `exciter_mass` (6, 6) [kg, kg m2] moves with the hub along the six components,
+      and its row of `exciter_stiffness` (6, 6) [N/m, N m/rad] holds the hub (see `model.exciter_loads`).
     - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
       are; `non_metric_motion` (6, n): motion x y z psi theta phi of the non-metric side at the rig's origin.
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
@@ -158,6 +158,7 @@ class Equations:
     load_delay: Dual
     load_lag: Dual
     exciter_mass: Dual
+    exciter_stiffness: Dual
     center: Dual
     freedom: tuple[int, ...]
     non_metric_motion: Dual

@@ -168,6 +168,24 @@ class ExciterMass(Extension):
 
 
 @dataclass(frozen=True)
+class ExciterStiffness(Extension):
+    """A `stiffness` [N/m], along a moment [N m/rad], holds the hub while its exciter is attached.
+
+    The first name of the place is the component of the exciter, the last one that along which it holds the hub.
+    """
+
+    name: ClassVar[str] = "exciter-stiffness"
+    stiffness: float = 0.0
+
+    def exciter_mechanics(self, mechanics: Mechanics, attached: Collection[str]) -> Mechanics:
+        """The equations with the springs along the loads of the attached exciters."""
+        self.places(COMPONENTS)
+        columns = [i for i, name in enumerate(COMPONENTS) if name == self.where[-1] and self.where[0] in attached]
+        rows = mechanics.loads[:, columns]
+        return replace(mechanics, stiffness=mechanics.stiffness + self.stiffness * rows @ rows.T)
+
+
+@dataclass(frozen=True)
 class ExciterPosition(Extension):
     """The exciters of the forces named act at the point `x`, `y`, `z` [m] from the hub, and not at the hub."""
 
