@@ -20,9 +20,6 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.model.balance import Estimate
 
-MAX_SHARE_LEFT = 0.05
-"""Share of chi-square that a cause may leave: a fifth of the channel's residual, whose root it is."""
-
 
 def likely_channel_cause(
     rest: Estimate,
@@ -48,7 +45,8 @@ def likely_channel_cause(
     start = extend_model(rest, fits[label].geometry).model.at(fits[label].theta)
     fit = fit_all_lines(start, batches, settings.fit)
     before, after = (model_quality(item, batches).chi2_per_dof for item in (rest, fit))
-    return label if after <= max(GOOD_FIT_CHI2_PER_DOF, MAX_SHARE_LEFT * before) else ""
+    largest = max(GOOD_FIT_CHI2_PER_DOF, settings.data_tests.exclusions.max_share_left * before)
+    return label if after <= largest else ""
 
 
 def _fit_effect_alone(rest: Estimate, candidate: Candidate, batches: Sequence[Batch], settings: SearchSettings) -> Fit:

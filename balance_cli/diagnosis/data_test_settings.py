@@ -151,6 +151,8 @@ class ExclusionSettings:
 
     min_excess_share: float = 0.2
     """Share of all residual beyond the noise from which a channel or run is suspected: with fewer, many are wrong."""
+    max_share_left: float = 0.05
+    """Share of chi-square that the likely cause of a channel may leave: a fifth of its residual, whose root it is."""
 
 
 @dataclass(frozen=True)

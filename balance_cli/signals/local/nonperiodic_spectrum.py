@@ -86,19 +86,13 @@ def nonperiodic_record(
 
     Each group of neighboring lines gives as many experiments as components were excited, one after the other at the
     same frequency. The covariance is that of the noise of channels and loads, without correlation between them. Raises
-    UserError where the run has no loads, its record is too short, the loads exceed their noise at no line, or that of
-    the channels is not known.
+    UserError where the run has no loads, its record is too short, or the loads exceed their noise at no line.
     """
     models = fit_local_models(record_spectrum(run, channel_names, band))
     groups = [group for w in range(len(models.fit)) for group in _line_groups(models, w)]
     groups = _excited_groups(groups, models.noise.loads)
     if not groups:
         raise run_error(run, "the loads exceed their noise at no line", _remedy(models), "loads")
-    if models.noise.dof <= len(channel_names):
-        fault = (
-            f"what local models leave has {models.noise.dof:.2g} degrees of freedom, too few for the noise of channels"
-        )
-        raise run_error(run, fault, _remedy(models))
     u = models.spectrum.loads.shape[1]
     bin_index = np.rint(models.spectrum.frequency * run.samples / sample_rate(run)).astype(np.intp)
     first, weight = _rows_of_one_width(groups, len(bin_index))

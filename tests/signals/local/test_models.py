@@ -129,16 +129,10 @@ def test_lines_of_a_short_record_of_few_channels_have_chi_square_one():
     assert np.mean(chi2_per_dof(rig, lines)) == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize(
-    ("channels", "zeta", "modes", "fault"),
-    [
-        (12, 0.015, (40.0, 44.0, 48.0, 52.0, 56.0, 60.0), "the loads exceed their noise at no line"),
-        (6, 0.005, (35.0, 36.4, 50.9, 57.0, 64.0, 68.0), "too few for the noise of channels"),
-    ],
-)
-def test_a_record_too_short_for_its_modes_is_refused_with_the_width_of_its_windows(channels, zeta, modes, fault):
-    """Only stronger excitation had been asked for, or lines had 0.03 degrees of freedom of their noise."""
-    rig = SweptRig(channels=channels, zeta=zeta, modes=modes)
+def test_a_record_too_short_for_its_modes_is_refused_with_the_width_of_its_windows():
+    """Only stronger excitation had been asked for."""
+    rig = SweptRig(channels=12, zeta=0.015, modes=(40.0, 44.0, 48.0, 52.0, 56.0, 60.0))
+    fault = "the loads exceed their noise at no line"
     with pytest.raises(UserError, match=f"{fault}.*record for longer.*more than 3 modes within .* lines, 2.* Hz"):
         nonperiodic_spectrum(rig.random(0, 1.8), rig.names, (2.0, 150.0))
 
