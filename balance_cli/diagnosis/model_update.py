@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -111,9 +112,11 @@ def update_model(
     first_round = last_round(update.trials) + 1
     state, tried = add_unmodelled_modes(_starts_of_modes(task, update), lines, first_round, announce, settings)
     trials = (*update.trials, *tried)
-    if state is None:
-        return replace(update, trials=trials)
-    return _test_on_all_lines(task, replace(search_result, state=state, trials=trials))
+    if state is not None:
+        # The lines of the search do not show a motion that grows without bound, as no record does.
+        with suppress(np.linalg.LinAlgError):
+            return _test_on_all_lines(task, replace(search_result, state=state, trials=trials))
+    return replace(update, trials=trials)
 
 
 def add_zeros(estimate: Estimate, offsets: Mapping[str, float], settings: SearchSettings) -> Estimate:

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects import EFFECTS
 from tests.support.rigs import rotor_balance
 
 WEIGHT = 2e4
@@ -58,3 +59,12 @@ def test_gravity_stiffness_is_that_of_the_potential_energy(upright):
     change = np.abs(K - without).max()
     np.testing.assert_allclose(plate.hessian(), K, atol=1e-3 * change)
     assert np.abs(plate.hessian() - without).max() > 0.9 * change
+
+
+def test_a_rig_does_not_fall_over_at_the_bounds():
+    rig = rotor_balance()
+    (effect,) = (effect for effect in EFFECTS if effect.name == "gravity-stiffness")
+    (parameter,) = effect.parameters(rig, ())
+    for bound in (parameter.lower, parameter.upper):
+        declared = DeclaredEffect(name=effect.name, parameters={parameter.name: bound})
+        assert np.linalg.eigvalsh(stiffness(rig, (declared,))).min() > 0

@@ -28,6 +28,9 @@ TILTS = ("theta", "phi")
 SMALL = 1e-3
 """A stiffness that matters, relative to that of the cells: gh/(i w)^2 of a rig with h = i = 0.3 m at 29 Hz."""
 
+LARGEST = 0.25
+"""Bound, relative to the tilt stiffness of the cells: a rig of which gravity takes more is about to fall over."""
+
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
     """The whole rig, if it can tilt."""
@@ -35,17 +38,10 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    cells = stiffness_by_motion(geometry)
-    scale = SMALL * max(cells[tilt] for tilt in TILTS if tilt in geometry.freedom)
-    return (
-        EffectParameter(
-            "stiffness",
-            "N m/rad",
-            0.0,
-            scale,
-            "Weight times the height of its center of gravity above the points of support; negative if it hangs.",
-        ),
-    )
+    cells = [stiffness_by_motion(geometry)[tilt] for tilt in TILTS if tilt in geometry.freedom]
+    description = "Weight times the height of its center of gravity above the points of support; negative if it hangs."
+    bounds = (-LARGEST * max(cells), LARGEST * min(cells))
+    return (EffectParameter("stiffness", "N m/rad", 0.0, SMALL * max(cells), description, *bounds),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
