@@ -51,7 +51,7 @@ def true_load_matrices(
 
 
 def _load_beyond_cell(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
-    """Matrices (K, 6, 6) from recorded loads to those beyond what the exciters take, before the cross-axis matrix."""
+    """Matrices (K, 6, 6) from recorded loads to those on the hub, before the cross-axis matrix."""
     e = _cell_factor(system.equations, solution.frequency[index])
     if not exciters_resist_motion(system.equations):
         return np.asarray(e[:, None, :] * np.eye(6))
@@ -115,7 +115,7 @@ def true_load_derivatives(
 
 
 def _load_parameters(equations: Equations, is_static: bool) -> Mask:
-    """Which parameters (p,) change the true loads: all of them where exciters resist its motion."""
+    """Which parameters (p,) change the true loads: all of them where exciters resist the motion."""
     cross_axis = equations.cross_axis(is_static).derivative
     own = np.asarray(cross_axis.any(axis=(1, 2)))
     if is_static:
@@ -132,7 +132,7 @@ def _load_parameters(equations: Equations, is_static: bool) -> Mask:
 def _beyond_cell_derivatives(
     system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask, own: Mask
 ) -> ComplexArray | None:
-    """Derivatives (K, 6, q) of the loads beyond what the exciters take, by the parameters `own` (p,)."""
+    """Derivatives (K, 6, q) of the loads on the hub before the cross-axis matrix, by the parameters `own` (p,)."""
     equations = system.equations
     gain, delay, lag = equations.load_gain, equations.load_delay, equations.load_lag
     resistance = (equations.exciter_mass, equations.exciter_stiffness)

@@ -110,14 +110,14 @@ def _expected_load_errors(loads: CheckErrors, solution: SolvedLoads, components:
 def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> ComplexArray:
     """Return the matrices (n+1, 6, 6) from recorded to true loads at harmonics 0 to n of a check run.
 
-    What takes a part of the loads beyond the force cells belongs to the exciters of the sweeps, with which a check run
-    may have been made or not: of the two the one that describes its channels better.
+    Mass and stiffness beyond the force cells belong to the exciters of the sweeps, with which a check run may have been
+    made or not: the matrices are those that describe its channels better.
     """
     return _choose_load_matrices(record, model)[0]
 
 
 def _choose_load_matrices(record: RotorRecord, model: IdentifiedModel) -> tuple[ComplexArray, str | None]:
-    """The same, and OTHER_EXCITERS where they are those without it."""
+    """The matrices, and OTHER_EXCITERS where they are those without the exciters of the sweeps."""
     attached = _load_matrices(record, model, attached=True)
     if not exciters_resist_motion(identified_system(model).equations):
         return attached, None
@@ -127,7 +127,7 @@ def _choose_load_matrices(record: RotorRecord, model: IdentifiedModel) -> tuple[
 
 
 def _load_matrices(record: RotorRecord, model: IdentifiedModel, attached: bool) -> ComplexArray:
-    """The same with what the exciters take that are `attached` (those that apply a load), or without any."""
+    """The matrices with the exciters that apply a load `attached` to the hub, or with none of them."""
     system, spectra = identified_system(model), record.spectra
     applied = attached & np.any(spectra.amplitude[:, spectra.columns(COMPONENTS)] != 0, axis=0)
     solution = solve(system, spectra.frequency_hz, record.spin)

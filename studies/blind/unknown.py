@@ -175,7 +175,7 @@ def exciter_suspensions(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 
 def bending_stingers(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: the rod of each exciter bends, and holds the hub across its own axis while it is attached."""
+    """Unknown: each stinger holds the hub across the axis of its exciter by its bending stiffness."""
     across = np.mean(truth.rig.stiffness) * rng.uniform(0.0005, 0.005, 6)
 
     def per_run(mechanics: Mechanics, record: Record) -> Mechanics:

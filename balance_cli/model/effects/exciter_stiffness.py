@@ -2,8 +2,8 @@
 
     load of the rig = load of the force cell - stiffness (motion of the hub along the direction)
 
-in sweeps and check runs in which the component is applied: the rod between exciter and hub bends, and resists the
-motion of the hub across its axis; a guide beyond the force cell resists the motion along it.
+in sweeps and check runs in which the component is applied: the stinger between exciter and hub resists the motion of
+the hub across its axis by its bending stiffness; a guide beyond the force cell resists the motion along it.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="exciter-stiffness",
-    summary="The rod of an exciter bends and holds the hub across its own axis while it is attached.",
+    summary="The bending stiffness of a stinger holds the hub across the axis of its exciter while it is attached.",
     validity="A massless linear spring at the hub along one axis, to an exciter that does not move; attached only in "
     "runs in which the exciter works.",
     reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 3 (attachment of "
     "exciters).",
     signature="Resonances of the sweeps of one component lie higher than those of the others, most the lowest ones; "
     "static runs, in which no exciter is attached, do not show it.",
-    separated_by="A longer or thinner rod. A stiffness of the rig is there in all runs.",
+    separated_by="A longer or thinner stinger. A stiffness of the rig is there in all runs.",
     place="a load component, or one and the other along which the exciter resists",
     places=each_component_and_motion,
     parameters=_parameters,
