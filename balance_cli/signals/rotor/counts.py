@@ -35,6 +35,9 @@ def revolution_crossings(
     middle = 0.5 if is_whole else 0.0
     sign = _direction(read, samples, modulus)
     notes = ["the count decreases; azimuth was taken to increase"] if sign < 0 else []
+    if high - low > 2.0 * counts_per_revolution:
+        multiple = f"azimuth 0 is where it is a multiple of {counts_per_revolution:g}"
+        notes.append(f"the count goes on from revolution to revolution: {multiple}, if it was zero at the index once")
     if modulus == counts_per_revolution:
         modulus = _measured_revolution(read(0, min(samples, BLOCK)), modulus)
         if modulus != counts_per_revolution:

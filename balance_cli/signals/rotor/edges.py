@@ -86,13 +86,14 @@ def find_edges(read: ReadSamples, samples: int, rate: float, levels: Levels) -> 
     """Find all edges: the last crossing of the level before the signal leaves the band of hysteresis."""
     rising: list[Array] = []
     falling: list[Array] = []
-    state, up, down = 0, np.nan, np.nan
+    state, up, down, end = 0, np.nan, np.nan, 0.0
     for start, fine in _fine_blocks(read, samples):
         above = fine - levels.level
         ups, downs = _crossings(above), _crossings(-above)
         outside = np.where(above > levels.hysteresis, 1, np.where(above < -levels.hysteresis, -1, 0))
         known = np.flatnonzero(outside)
-        states = outside[known]
+        known = known[start + known >= end]  # blocks overlap: an edge there is found once
+        states, end = outside[known], start + len(fine)
         changed = np.flatnonzero(np.diff(np.concatenate([[state or (states[0] if len(states) else 0)], states])))
         for index in known[changed]:
             if outside[index] > 0:

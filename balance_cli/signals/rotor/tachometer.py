@@ -215,7 +215,11 @@ def _once_per_revolution(
         remedy = faster if samples < FEWEST_SAMPLES else PULSES_REMEDY
         raise UserError(error.fault, place="tachometer", remedy=remedy) from error
     notes = [f"azimuth 0 is at the first of {count} pulses a revolution: there is no index that shows which one it is"]
-    notes += [note for note in teeth.notes if not note.startswith("pulses scatter")]
+    repairs = [note for note in teeth.notes if not note.startswith("pulses scatter")]
+    if len(teeth.pulse_times) < teeth.turns * (1.0 - 0.5 / count):
+        repairs = [note for note in repairs if " missing after " not in note]
+        notes.append("a pulse is missing in each revolution: state `index: gap` if azimuth 0 is at the one behind it")
+    notes += repairs
     return teeth.time_of(np.arange(0, teeth.turns + 1, count)), notes
 
 

@@ -6,6 +6,7 @@ import scipy.signal
 from scipy.ndimage import uniform_filter1d
 
 from balance_cli.io.errors import UserError
+from balance_cli.signals.rotor import edges
 from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
 from balance_cli.signals.rotor.tachometer import AnalogLowPass, TachometerSettings, read_rotor_reference
 from balance_cli.simulation.rotor import RotorKinematics
@@ -248,3 +249,37 @@ def test_an_encoder_that_was_sampled_fast_is_no_other():
     samples, _ = signal(100_000.0, pulse(0.5, 360), duration=2.0, filtered=False)
     found = reference(samples, 100_000.0, pulses_per_revolution=360)
     assert found.mean_rate == pytest.approx(17.61, rel=1e-3) and found.alias_rate > 10 * found.mean_rate
+
+
+@pytest.mark.parametrize("block", [1000, 1013])
+def test_edges_do_not_depend_on_the_blocks_in_which_samples_are_read(block, monkeypatch):
+    """Blocks overlap, and an edge within two samples of their end was found twice: a stray pulse, a wrong gap."""
+    samples, _ = signal(20000.0, pulse(0.5, 64), duration=2.0)
+    read = lambda a, b: samples[a:b]  # noqa: E731
+    levels = edges.find_levels(read, len(samples), None, None)
+    whole = edges.find_edges(read, len(samples), 20000.0, levels)
+    monkeypatch.setattr(edges, "BLOCK", block)
+    parts = edges.find_edges(read, len(samples), 20000.0, levels)
+    assert len(whole.rising) > 2200
+    assert np.allclose(parts.rising, whole.rising, rtol=0, atol=1e-9)
+    assert np.allclose(parts.falling, whole.falling, rtol=0, atol=1e-9)
+
+
+def test_a_tooth_that_every_revolution_misses_is_named_once():
+    """Each of 348 missing teeth had a line of its own, and none said that they may be the index."""
+    shape = lambda psi: ((psi * 12) % 1.0 < 0.4) & (np.floor((psi % 1.0) * 12) != 11)  # noqa: E731
+    samples, low_pass = signal(20000.0, shape)
+    notes = reference(samples, 20000.0, pulses_per_revolution=12, low_pass=low_pass).notes
+    assert len(notes) < 8 and any("index: gap" in note for note in notes)
+    sound, low_pass = signal(20000.0, pulse(0.4, 12))
+    notes = reference(sound, 20000.0, pulses_per_revolution=12, low_pass=low_pass).notes
+    assert not any("index: gap" in note for note in notes)
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_count_that_goes_on_states_where_azimuth_0_is(goes_on):
+    """An encoder that counts on from any revolution knows no index: azimuths were off by 105 degrees without a word."""
+    turns = ROTOR.azimuth(np.arange(20000) / 2000.0) / (2 * np.pi)
+    samples = np.floor(360.0 * turns) + 12345.0 if goes_on else np.floor(360.0 * (turns % 1.0))
+    notes = reference(samples, 2000.0, kind="counts", counts_per_revolution=360.0).notes
+    assert any("multiple of 360" in note for note in notes) is goes_on
