@@ -96,6 +96,8 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
     Of more than MOST_IN_FULL runs only the verdicts are shown.
     """
     yield f"{plural(len(loads.runs), 'run')} reduced, {loads.response}"
+    if loads.geometry.acquisition.filter is None:
+        yield "no `acquisition.filter` is declared: harmonics keep the gain and delay of a filter that the recorder has"
     if len(loads.runs) > MOST_IN_FULL:
         yield from _verdict_lines(loads.runs.values())
         return

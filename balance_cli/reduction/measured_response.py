@@ -23,6 +23,7 @@ from balance_cli.reduction.response_sources import (
     circular_real,
     select_channels,
 )
+from balance_cli.signals.anti_alias import is_filter_contradicted
 
 if TYPE_CHECKING:  # Reductions by a model ask for the type of their source, and interpolate nothing.
     from balance_cli.reduction.spin_dependence import SpinDependence
@@ -45,7 +46,8 @@ class TransferSource(ResponseWithoutModel):
 
     All have the channels `channel_names`. `channels_left_out` {channel: reason} are those that some of them lack.
     `at_speeds` are all that were measured, one per component and rotor speed. `response_error` is what the responses
-    miss at the rotor speed of a run, as far as sweeps at several speeds tell.
+    miss at the rotor speed of a run, as far as sweeps at several speeds tell. They contain their own error, and are
+    contradicted only where the sweeps contradict the declared filter.
     """
 
     channel_names: tuple[str, ...]
@@ -56,6 +58,7 @@ class TransferSource(ResponseWithoutModel):
     at_speeds: tuple[FrequencyResponse, ...] = ()
     response_error: ResponseError | None = None
     note: str = ""
+    is_contradicted: bool = False
 
     def at_spin(self, spin: float) -> TransferSource:
         """Return the responses that belong to a rotor speed [Hz], with what they miss there."""
@@ -84,11 +87,6 @@ class TransferSource(ResponseWithoutModel):
         from balance_cli.signals.response.response_poles import response_poles
 
         return response_poles(self.responses)
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Never: what was measured contains the error that it has."""
-        return False
 
     @property
     def description(self) -> str:
@@ -170,6 +168,7 @@ def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
             if loads
         },
         at_speeds=selected(item for item in at_speeds if set(channels) <= set(item.channel_names)),
+        is_contradicted=is_filter_contradicted(transfer.consistency),
     )
 
 

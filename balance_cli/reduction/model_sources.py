@@ -20,6 +20,7 @@ from balance_cli.model.system import System
 from balance_cli.model.system_response import load_response, response, solve
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
 from balance_cli.reduction.response_sources import ChannelCombination, ResponseSource, select_channels
+from balance_cli.signals.anti_alias import is_filter_contradicted
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -52,8 +53,9 @@ class ModelSource:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the model does not fit its data and nobody recorded by how much, as in artefacts of version 0.1."""
-        return self.model.response_error is None and self.model.quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
+        """Whether the sweeps contradict the filter, or the model its data and nobody recorded by how much (0.1)."""
+        is_misfit = self.model.response_error is None and self.model.quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
+        return is_misfit or is_filter_contradicted(self.model.consistency)
 
     @property
     def untrusted_channels(self) -> dict[str, str]:

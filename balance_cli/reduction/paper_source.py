@@ -25,6 +25,7 @@ from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
 from balance_cli.reduction.response_sources import ASSUMED_DECAY, ChannelCombination
+from balance_cli.signals.anti_alias import is_filter_contradicted
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -51,8 +52,9 @@ class PaperSource:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the form does not fit its data and nobody recorded by how much, as in artefacts of before."""
-        return self.model.response_error is None and self.fit.misfit.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
+        """Whether the sweeps contradict the filter, or the form its data and nobody recorded by how much (0.1)."""
+        is_misfit = self.model.response_error is None and self.fit.misfit.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
+        return is_misfit or is_filter_contradicted(self.model.consistency)
 
     @property
     def untrusted_channels(self) -> dict[str, str]:

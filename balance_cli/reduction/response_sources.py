@@ -79,7 +79,7 @@ class ResponseSource(Protocol):
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the data that the response was made from contradict it, and its error is not known."""
+        """Whether the data that the response was made from contradict it or the filter, and its error is not known."""
         ...
 
     @property

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from balance_cli.campaign.rig.geometry import Acquisition
 
 ComplexArray = NDArray[np.complex128]
+CONTRADICTED_CUTOFF = "loads beyond the cutoff of `acquisition.filter`"
+"""How the finding begins that the sweeps contradict the declared filter; responses keep it among their findings."""
 
 
 def butterworth_poles(order: int) -> ComplexArray:
@@ -33,3 +35,8 @@ def anti_alias_response(acquisition: Acquisition, frequency_hz: ArrayLike) -> Co
     for pole in poles.tolist():
         response *= -pole / (s - pole)
     return response
+
+
+def is_filter_contradicted(findings: tuple[str, ...] | None) -> bool:
+    """Whether the findings on the sweeps of a response contradict the declared filter, by which loads are divided."""
+    return any(text.startswith(CONTRADICTED_CUTOFF) for text in findings or ())

@@ -6,19 +6,25 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.consistency.campaign import campaign_findings
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import FLAGS, join_flags
 from balance_cli.reduction.harmonic_loads import harmonic_loads
 from balance_cli.reduction.kalman.innovations import InnovationTests
+from balance_cli.reduction.measured_response import transfer_source
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.result import flag_filter
 from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.report.in_time import innovation_tests_row
+from balance_cli.signals.response.choices import INTERPOLATIONS
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth
+from balance_cli.steps.cross_checks import keep_findings
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
+from balance_cli.steps.sweep_tf import estimate_responses
 from tests.support.channels import with_channel
 
 
@@ -163,6 +169,23 @@ def test_an_old_model_without_its_error_is_contradicted_as_a_whole(campaign, cal
     old = replace(computed, response_error=None)
     found = reduce_run(check, campaign.geometry, calibration, model_source(old))
     assert all("model contradicted" in flag for row in found.flags[1:] for flag in row)
+
+
+def test_a_filter_that_the_sweeps_contradict_flags_all_harmonics(campaign, calibration, identified, check):
+    """Declared at half its cutoff it changes loads by up to 570 sigma; nothing in a wind run shows it."""
+    geometry = campaign.geometry.model_dump(mode="json")
+    geometry["acquisition"]["filter"]["cutoff"] = 100.0
+    declared = Geometry.model_validate(geometry)
+    findings = campaign_findings(declared, campaign.runs_of_kind("sweep"))
+    responses = estimate_responses(campaign.runs, campaign.geometry)
+    for source in (model_source(identified), transfer_source(responses, INTERPOLATIONS[0])):
+        assert not source.is_contradicted
+    doubted = transfer_source(keep_findings(responses, findings), INTERPOLATIONS[0])
+    assert doubted.is_contradicted and doubted.at_spin(check.rotor_speed).is_contradicted
+    source = model_source(keep_findings(identified, findings))
+    found = reduce_run(check, campaign.geometry, calibration, source)
+    assert all("model contradicted" in flag for row in found.flags[1:] for flag in row)
+    assert not any("model contradicted" in flag for flag in found.flags[0])
 
 
 @pytest.mark.parametrize(

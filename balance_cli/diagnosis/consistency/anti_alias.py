@@ -13,7 +13,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.consistency.findings import ANTI_ALIAS, WARNING, ConsistencyFinding
-from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.anti_alias import CONTRADICTED_CUTOFF, anti_alias_response
 from balance_cli.signals.response_rows import ResponseRows
 
 PASSED, STOPPED = 0.9, 0.35
@@ -33,7 +33,7 @@ def filter_findings(rows: Sequence[ResponseRows], geometry: Geometry) -> list[Co
     if len(ratios) < FEWEST_SWEEPS or min(ratios.values()) < LEAST_RATIO:
         return []
     share = f"{min(ratios.values()):.2g} of their size below it"
-    text = f"loads beyond the cutoff of `acquisition.filter` are recorded with {share}: is the cutoff higher?"
+    text = f"{CONTRADICTED_CUTOFF} are recorded with {share}: is the cutoff higher?"
     return [ConsistencyFinding(ANTI_ALIAS, WARNING, text, tuple(ratios), True)]
 
 
