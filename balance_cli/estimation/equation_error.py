@@ -18,6 +18,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.model.channel_gains import channel_gains
+from balance_cli.model.exciter_loads import loads_without_reaction, loads_without_reaction_jacobian
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.response_jacobian import multiply_derivatives
 from balance_cli.model.system import System, dynamic_stiffness
@@ -42,6 +43,7 @@ class MeasuredForces:
     """
 
     spin: float
+    is_static: bool
     frequency: Array
     rows: Index
     forces: ComplexArray
@@ -66,7 +68,7 @@ def measured_forces(batch: Batch, system: System) -> MeasuredForces:
     np.put_along_axis(loads, batch.lines.components, batch.lines.loads, axis=1)
     frequency = batch.line_frequency
     row_weight = _row_weight(system, frequency, loads, len(rows))
-    return MeasuredForces(batch.spin, frequency, rows, forces, loads, row_weight)
+    return MeasuredForces(batch.spin, batch.is_static, frequency, rows, forces, loads, row_weight)
 
 
 def _measured_springs(system: System, weight: Array, gains: ComplexArray) -> Index:
@@ -92,9 +94,12 @@ def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArr
     q = measured.forces @ inverse.value.T
     dq = multiply_derivatives(inverse.derivative, measured.forces)
     A = dynamic_stiffness(system.pencil, measured.frequency, measured.spin)
-    balance = np.matmul(A, q[:, :, None])[:, :, 0] - measured.loads @ system.inputs.value.T
+    driven = (system.equations, measured.frequency, measured.loads, measured.is_static)
+    loads = loads_without_reaction(*driven)
+    balance = np.matmul(A, q[:, :, None])[:, :, 0] - loads @ system.inputs.value.T
     derivatives = np.matmul(A, dq) + _pencil_derivatives_times(system, measured, q)
-    derivatives -= multiply_derivatives(system.inputs.derivative, measured.loads)
+    derivatives -= multiply_derivatives(system.inputs.derivative, loads)
+    derivatives -= np.matmul(system.inputs.value, loads_without_reaction_jacobian(*driven))
     redundancy = measured.forces - q @ R.value.T
     d_redundancy = -multiply_derivatives(R.derivative, q) - np.matmul(R.value, dq)
     error = np.concatenate([balance, redundancy], axis=1) * measured.weight

@@ -17,6 +17,7 @@ from balance_cli.estimation.regression_residual import (
     every_nth_line,
     line_stride,
 )
+from balance_cli.model.exciter_loads import loads_without_reaction, loads_without_reaction_jacobian
 from balance_cli.model.response_jacobian import multiply_derivatives
 from balance_cli.model.system import System, dynamic_stiffness
 
@@ -94,17 +95,15 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     ratio = lines.log_frequency_ratio(system)
     R = R + ratio[:, :, None] * of_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
-    cross_axis = system.equations.cross_axis(lines.is_static)
-    true_loads = lines.loads @ cross_axis.value.T
+    driven = (system.equations, lines.frequency, lines.loads, lines.is_static)
+    true_loads = loads_without_reaction(*driven)
     measured = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
     x = batched_least_squares(matrix, measured[:, :, None])[:, :, 0]
     error = measured - np.matmul(matrix, x[:, :, None])[:, :, 0]
 
     def derivatives() -> ComplexArray:
         excitation = multiply_derivatives(system.inputs.derivative, true_loads)
-        excitation = excitation + np.matmul(
-            system.inputs.value, multiply_derivatives(cross_axis.derivative, lines.loads)
-        )
+        excitation = excitation + np.matmul(system.inputs.value, loads_without_reaction_jacobian(*driven))
         readings = multiply_derivatives(of_forces.derivative, x)
         readings = readings + multiply_derivatives(of_loss.derivative, lines.quadrature * x)
         readings = readings + multiply_derivatives(of_frequency_stiffness.derivative, ratio * x)

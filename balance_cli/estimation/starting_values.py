@@ -10,9 +10,10 @@ estimates have few minima and come first:
 
        A(w) x = F u,        R x = f,
 
-   are more than the unknowns x; with x eliminated by least squares, the residual has no resonances of the plate. (If
-   some of the equations were solved for x exactly, it would have their poles.) Variable projection: Golub and Pereyra,
-   SIAM J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
+   with u the loads that act for the recorded ones (gain, delay and lag of the exciters), are more than the unknowns x;
+   with x eliminated by least squares, the residual has no resonances of the plate. (If some of the equations were
+   solved for x exactly, it would have their poles.) Variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10
+   (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
 
 The motion of a flexible part is not measured, and its resonance remains. At low frequency it is only a deflection that
 grows with w^2. The fit therefore begins with the lowest lines, and each wider band starts from the result of the one

@@ -65,6 +65,38 @@ def _cell_factor(equations: Equations, frequency: Array) -> ComplexArray:
     return np.asarray(factor / lag_denominator(equations, frequency))
 
 
+def loads_without_reaction(
+    equations: Equations, frequency: Array, loads: ComplexArray, is_static: bool = False
+) -> ComplexArray:
+    """Return C e (K, 6) for recorded `loads` (K, 6) at frequencies (K,) [Hz]: the true loads where D is zero."""
+    beyond = loads if is_static else _cell_factor(equations, frequency) * loads
+    return np.asarray(beyond @ equations.cross_axis(is_static).value.T)
+
+
+def loads_without_reaction_jacobian(
+    equations: Equations, frequency: Array, loads: ComplexArray, is_static: bool = False
+) -> ComplexArray:
+    """Return the derivatives (K, 6, p) of `loads_without_reaction` by all parameters."""
+    cross_axis = equations.cross_axis(is_static)
+    if is_static:
+        return multiply_derivatives(cross_axis.derivative, loads)
+    of_matrix = multiply_derivatives(cross_axis.derivative, _cell_factor(equations, frequency) * loads)
+    every = np.ones(len(cross_axis.derivative), bool)
+    return np.asarray(of_matrix + cross_axis.value @ _cell_derivatives(equations, frequency, loads, every))
+
+
+def _cell_derivatives(equations: Equations, frequency: Array, loads: ComplexArray, own: Mask) -> ComplexArray:
+    """Derivatives (K, 6, q) of the loads beyond the force cells by the parameters `own` (p,), at constant motion."""
+    gain, delay, lag = equations.load_gain, equations.load_delay, equations.load_lag
+    s = 2j * np.pi * frequency[:, None, None]
+    beyond = (_cell_factor(equations, frequency) * loads)[:, :, None]
+    change = beyond * (s * delay.derivative[own].T - (gain.derivative[own] / gain.value).T)
+    if np.any(lag.derivative[own]):
+        first, second = np.moveaxis(lag.derivative[own], 2, 0)
+        change = change - beyond * (s * first.T + s**2 * second.T) / lag_denominator(equations, frequency)[:, :, None]
+    return np.asarray(change)
+
+
 def lag_denominator(equations: Equations, frequency: Array) -> ComplexArray:
     """Return what is recorded over the load that follows it, 1 + s a + s^2 b (K, 6), at frequencies (K,) [Hz]."""
     s = 2j * np.pi * frequency[:, None]
@@ -138,13 +170,8 @@ def _beyond_cell_derivatives(
     resistance = (equations.exciter_mass, equations.exciter_stiffness)
     if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, lag, *resistance)):
         return None
-    s = 2j * np.pi * solution.frequency[index][:, None, None]
     recorded = _cell_factor(equations, solution.frequency[index]) * loads
-    change = recorded[:, :, None] * (s * delay.derivative[own].T - (gain.derivative[own] / gain.value).T)
-    if np.any(lag.derivative[own]):
-        first, second = np.moveaxis(lag.derivative[own], 2, 0)
-        denominator = lag_denominator(equations, solution.frequency[index])[:, :, None]
-        change = change - recorded[:, :, None] * (s * first.T + s**2 * second.T) / denominator
+    change = _cell_derivatives(equations, solution.frequency[index], loads, own)
     if not any(np.any(part.value) or np.any(part.derivative) for part in resistance):
         return np.asarray(change)
     inverse = _inverse_reaction(system, solution, index, attached)
