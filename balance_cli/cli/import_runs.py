@@ -125,6 +125,6 @@ def _print_sketch(session: Session, files: tuple[Path, ...], geometry: Path | No
     from balance_cli.importers import open_foreign
     from balance_cli.steps.import_sketch import sketch_map
 
-    rig = None if geometry is None else session.geometry(geometry)
+    rig = None if geometry is None else session.geometry(geometry, mechanics=False)
     text = sketch_map([open_foreign(path) for path in files], rig)
     session.finish({"map": text}, text.splitlines())

@@ -7,6 +7,8 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from balance_cli.campaign.recording.dataset_checks import KINDS_WITH_LOADS
@@ -18,7 +20,7 @@ from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
 from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT, TIME
-from balance_cli.steps.sketched_differences import Entries, base_file, difference_lines
+from balance_cli.steps.sketched_differences import Entries, base_file, difference_lines, own_channels
 from balance_cli.steps.sketched_times import empty_times, even_column, time_axis, time_channel, unit_of
 
 FASTEST_GUESS = 2e6
@@ -33,7 +35,7 @@ SIMILARITY = 0.6
 """Share of equal characters (difflib) from which two names are taken as one."""
 KIND_NAMES = {
     "static": ("static", "statisch", "calib", "kalib", "etalon", "cal_", "cal-", "weights"),
-    "zero": ("zero", "tare", "tara", "offset", "windoff", "wind-off", "nullm", "null_", "null-", "nullpunkt"),
+    "zero": ("zero", "tare", "tara", "offset", "wind[ _-]?off", "no[ _-]?wind", "nullm", "null_", "null-", "nullpunkt"),
     "sweep": ("sweep", "shake", "frf", "chirp", "random", "hammer", "impact"),
     "check": ("check", "known"),
     "wind": ("wind", "run", "hover", "test"),
@@ -62,7 +64,8 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     others = _of_other_length(first, time)
     ignored = [time, *times, *empty_times(first), *others]
     rest = [channel for channel in channels if not any(channel is other for other in ignored)]
-    tachometer = next((channel for channel in rest if _is_tachometer(channel)), None)
+    own = {file.path: own_channels(file, first) for file in files}
+    tachometer = next((channel for channel in chain(rest, *own.values()) if _is_tachometer(channel)), None)
     rest = [channel for channel in rest if channel is not tachometer]
     loads, rest = _guess_loads(rest)
     lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
@@ -70,7 +73,8 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
         lines += _rate_lines(first, time)
     lines += [f"# not as long as `{time.name}`: {', '.join(c.name for c in others)}"] if time and others else []
     mapped, free = _guess_channels(rest, geometry)
-    lines += ["channels:", *(_channel_line(*entry) for entry in mapped.values())]
+    channel_line = partial(_channel_line, geometry)
+    lines += ["channels:", *(channel_line(*entry) for entry in mapped.values())]
     lines += [f"  # channels of the geometry that were not found: {', '.join(free)}"] if free else []
     lines += (
         ["loads:", *(_load_line(*entry) for entry in loads.values())]
@@ -79,9 +83,11 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     )
     lines += [*_rotor_lines(tachometer, geometry), "runs:"]
     for file in files:
-        lines += [*_run_lines(file, geometry), *difference_lines(file, "channels", mapped, _channel_line)]
+        more_loads, more = _guess_loads([c for c in own[file.path] if tachometer is None or c.name != tachometer.name])
+        more_mapped = _guess_channels(more, geometry)[0]
+        lines += [*_run_lines(file, geometry), *difference_lines(file, "channels", mapped, more_mapped, channel_line)]
         if _kind(file.path) in (None, *KINDS_WITH_LOADS):
-            lines += difference_lines(file, "loads", _needed_loads(file, loads), _load_line)
+            lines += difference_lines(file, "loads", _needed_loads(file, loads), more_loads, _load_line)
     return "\n".join(lines) + "\n"
 
 
@@ -184,19 +190,20 @@ def _guess_channels(
     free = list(geometry.channel_names) if geometry is not None else []
     mapped: dict[str, tuple[ForeignChannel, str]] = {}
     for channel in channels:
-        match = _nearest(channel.signal, free)
+        match = _nearest(channel.signal, free) or _nearest(channel.signal.rpartition("/")[2], free)
         if match:
             free.remove(match)
         mapped.setdefault(channel.name, (channel, match or (UNFINISHED if geometry is not None else channel.signal)))
     return mapped, free
 
 
-def _channel_line(channel: ForeignChannel, target: str) -> str:
-    is_voltage = not channel.unit or bool(unit_of(channel.unit, "V"))
+def _channel_line(geometry: Geometry | None, channel: ForeignChannel, target: str) -> str:
+    declared = geometry.reading_units([target]) if geometry is not None else {}
+    is_reading = not channel.unit or bool(unit_of(channel.unit, declared.get(target, "V")))
     entry = [f"name: {_quoted(target)}", f"unit: {_quoted(channel.unit or UNFINISHED)}"]
-    entry += [] if is_voltage else ["scale: TODO"]
+    entry += [] if is_reading else ["scale: TODO"]
     comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
-    comment = comment if is_voltage else "  # volts for one unit, or remove it"
+    comment = comment if is_reading else "  # volts for one unit, or remove it"
     return f"  {_quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
 
 

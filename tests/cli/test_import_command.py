@@ -539,6 +539,39 @@ def test_a_sketch_of_files_that_differ_is_a_map_of_all(tmp_path):
     assert open_run(tmp_path / "runs" / "static-1.h5").read().loads[1, 0] == pytest.approx(9.80665)
 
 
+def test_a_sketch_has_the_channels_that_a_file_alone_has(tmp_path):
+    """Only those of the file with most channels were in the map: bridges of sweeps and the tachometer were missing."""
+    geometry = tmp_path / "geometry.yaml"
+    declared = "channels: [{name: k1, unit: mV/V}, {name: k2, unit: mV/V}]\ncomponents: [Fx, Fz]\n"
+    geometry.write_text("format: balance-geometry/1\nname: n\nrig: r\n" + declared, encoding="utf-8")
+    rows = "".join(f"{k * k},0,{0.1 * k},{0.2 * k}\n" for k in range(5))
+    (tmp_path / "Static 1.csv").write_text("Fx [N],Fz [N],SG k1 [mV/V],SG k2 [mV/V]\n" + rows, encoding="utf-8")
+    scipy.io.savemat(tmp_path / "sweep Fz.mat", {"k1": np.arange(50.0), "k2": np.arange(50.0), "fs": 100.0})
+    for name, tachometer in (("Run 1", True), ("Run 2", True), ("Wind Off", False)):
+        write_two_groups(tmp_path / f"{name}.tdms", tachometer)
+    names = ("Static 1.csv", "sweep Fz.mat", "Run 1.tdms", "Run 2.tdms", "Wind Off.tdms")
+    text = invoke("import", "--sketch", "-g", geometry, *(tmp_path / name for name in names)).stdout
+    sketch = yaml.safe_load(text)
+    assert sketch["channels"]["SG k1"] == {"name": "k1", "unit": "mV/V"}  # the geometry declares a ratio: no scale
+    assert sketch["rotor"]["channel"] == "Tach/OPR"
+    runs = {run["file"]: run for run in sketch["runs"]}
+    assert runs["sweep Fz.mat"]["channels"]["k1"]["name"] == "k1"
+    assert runs["Wind Off.tdms"]["kind"] == "zero"
+    assert all("channels" not in runs[name] for name in names[2:])
+    alone = yaml.safe_load(invoke("import", "--sketch", "-g", geometry, tmp_path / "Run 1.tdms").stdout)
+    assert alone["channels"]["Balance/SG k2"]["name"] == "k2"
+
+
+def write_two_groups(path, tachometer):
+    nptdms = pytest.importorskip("nptdms")
+    volts = {"wf_increment": 0.01, "unit_string": "V"}
+    ratio = {"wf_increment": 0.01, "unit_string": "mV/V"}
+    channels = [nptdms.ChannelObject("Balance", f"SG k{k}", np.arange(50.0), properties=ratio) for k in (1, 2)]
+    channels += [nptdms.ChannelObject("Tach", "OPR", np.arange(50.0), properties=volts)] if tachometer else []
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(channels)
+
+
 def test_channels_of_files_with_and_without_a_second_group(tmp_path):
     """LabVIEW: a tachometer in a group of its own gives all channels of its file the names of their groups."""
     nptdms = pytest.importorskip("nptdms")
