@@ -78,13 +78,17 @@ def response_is_constant(
     return bool(np.all(change <= LARGEST_RESPONSE_CHANGE * np.linalg.norm(slow, axis=1)))
 
 
-def _lasting_exponents(source: ResponseSource, run: Run, time: float) -> tuple[complex, ...]:
-    """Return the eigenvalues [1/s] of the oscillating modes that have not decayed at a time [s]."""
+def rig_eigenvalues(source: ResponseSource, run: Run) -> NDArray[np.complex128]:
+    """Return the eigenvalues [1/s] of the oscillating modes that a run can show; none where the source knows none."""
     highest = 0.5 * BELOW_NYQUIST * sample_rate(run)
     if source.system is None:
-        s = np.array([pole for pole in source.poles if pole.imag < 2.0 * np.pi * highest], complex)
-    else:
-        s = _oscillating_modes(source.system, source.system.coupled_spin(run.rotor_speed), highest)
+        return np.array([pole for pole in source.poles if pole.imag < 2.0 * np.pi * highest], complex)
+    return _oscillating_modes(source.system, source.system.coupled_spin(run.rotor_speed), highest)
+
+
+def _lasting_exponents(source: ResponseSource, run: Run, time: float) -> tuple[complex, ...]:
+    """Return the eigenvalues [1/s] of the oscillating modes that have not decayed at a time [s]."""
+    s = rig_eigenvalues(source, run)
     return tuple(s[-s.real < DECAY_TIME_CONSTANTS / time].tolist())
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import TrimCalibration
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.reduction.free_decays import rig_eigenvalues
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.signals.anti_alias import anti_alias_response
@@ -53,6 +54,8 @@ LEAST_NOISE = 1e-6
 equations would see no other row."""
 SAID_CHANGE = 0.01
 """Factor less one, or turn [rad], from which a change of all harmonics is described by it."""
+AVERAGED_PERIODS = 2.0
+"""Periods of a mode in a window that leave less than a sixth of its amplitude in the mean, 1 over 2 pi."""
 START_UP_SHARE = 0.03
 """Departure of the rotor speed of a window from that of the interval by which a record begins with a start-up."""
 
@@ -97,7 +100,7 @@ def examine_steadiness(
         loads[:, 0] = _mean_loads(windows, static)
     of_harmonics = _correlation(windows, source)
     correlation = np.full((n + 1, 1), of_harmonics)
-    correlation[0] *= of_harmonics > SLOW_MODE_CORRELATION
+    correlation[0] *= of_harmonics > SLOW_MODE_CORRELATION and not _averages_modes(windows, record, source)
     # Of harmonics only the interval: the transient of a high-pass, which the slowest mode does not tell, is among them.
     duration = windows.turns / float(np.median(windows.speed))
     first, last = record.spectra.interval
@@ -181,6 +184,14 @@ def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:
     """Return the correlation of gusts in the harmonics of neighboring windows, as the slowest mode transmits them."""
     duration = windows.turns / float(np.median(windows.speed))
     return float(np.exp(-duration / source.slowest_decay)) if source.slowest_decay > 0 else 0.0
+
+
+def _averages_modes(windows: WindowedAmplitudes, record: RotorRecord, source: ResponseSource) -> bool:
+    """Whether the means of windows average all modes out, also those that ring longer than a window."""
+    s = rig_eigenvalues(source, record.run)
+    periods = s.imag * windows.turns / (2.0 * np.pi * float(np.median(windows.speed)))
+    is_slowest_known = np.max(-1.0 / s.real, initial=0.0) > 0.99 * source.slowest_decay
+    return bool(is_slowest_known and periods.min() > AVERAGED_PERIODS)
 
 
 def _beyond_transient(means: ComplexArray, start: int, decay: float) -> ComplexArray:
