@@ -27,6 +27,7 @@ from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE, 
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
+from balance_cli.signals.rotor.steadiness import sigma_if_steady, unsteady
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -51,12 +52,14 @@ class ZeroRecord:
 
 
 def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
-    """Compute the means of a wind-off record, with their variance from the scatter of its segments."""
+    """Compute the means of a wind-off record, with their variance from the scatter of its segments, and their drift."""
     names = tuple(name for name in channel_names if name in run.channel_names)
     values = read_channels(run, names)
     means = np.array([part.mean(axis=0) for part in np.array_split(values, ZERO_SEGMENTS)])
+    is_drift = unsteady(means.astype(complex), sigma_if_steady(means))  # either end may be the zero
+    variance = means.var(axis=0, ddof=1) / ZERO_SEGMENTS + (0.5 * np.ptp(means, axis=0) * is_drift) ** 2
     of_run = mean_temperature(run), stated_gravity(run.conditions)
-    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / ZERO_SEGMENTS, *of_run)
+    return ZeroRecord(run.name, names, values.mean(axis=0), variance, *of_run)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.flags import NO_ZERO, NOT_STEADY
+from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.model_sources import model_source
-from balance_cli.simulation import draw_rig, simulate_campaign, true_rig
+from balance_cli.simulation import draw_rig, simulate_campaign, simulate_run, true_rig
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run
@@ -64,3 +66,24 @@ def test_a_drift_of_a_mean_is_seen_beside_a_mode_that_rings_longer_than_a_window
     loads = reduce_run(with_channel(wind, "x.strain", drifting), geometry, calibration, source)
     assert NOT_STEADY in loads.flags[0][0]
     assert np.all(np.abs(loads.amplitude[0].real - means) < 5.0 * loads.sigma_cosine[0])
+
+
+@pytest.mark.parametrize("drift", [0.02, 0.3])
+def test_a_zero_that_drifts_is_in_sigma_of_all_mean_loads(small, drift):
+    """The drift is a share of the largest reading of a channel of the wind run."""
+    calibration, wind, means = small
+    geometry = calibration.geometry
+    source = model_source(identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed")))
+    plan = short_campaign("E", revolutions=200).runs
+    record = simulate_run(true_rig(geometry), next(run for run in plan if run.run == "zero"), seed=4)[0]
+    volts = record.read().channels
+    size = drift * np.abs(wind.read().channels).max(axis=0) * np.linspace(0.0, 1.0, len(volts))[:, None]
+    names = [channel.name for channel in geometry.channels if channel.measures_dc]
+
+    def error(values):
+        zero = zero_record(replace(record, source=MemorySource(values, None)), names)
+        loads = reduce_run(wind, geometry, calibration, source, zero)
+        return np.abs(loads.amplitude[0].real - means) / loads.sigma_cosine[0]
+
+    assert np.all(error(volts) < 4.0)
+    assert np.all(error(volts + size) < 4.0)
