@@ -44,11 +44,13 @@ from balance_cli.report.sources import Source, Sources
 
 
 def verdict_sentence(source: Source[Diagnosis]) -> str:
-    """The verdict in one sentence, with the effects found."""
+    """The verdict in words, with the effects found; those that change no load by their names alone."""
     diagnosis = source.content
-    effects = ", ".join(effect.label for effect in diagnosis.effects)
+    found = ", ".join(effect.label for effect in diagnosis.effects if not effect.is_of_no_consequence)
+    light = ", ".join(dict.fromkeys(effect.name for effect in diagnosis.effects if effect.is_of_no_consequence))
     sentence = f"{capitalize_first(source.label)}: {diagnosis.verdict}; {diagnosis.meaning}."
-    return f"{sentence} Found: {effects}." if effects else sentence
+    sentence += f" Found: {found}." if found else ""
+    return sentence + (f" Found, of no consequence to any load: {light}." if light else "")
 
 
 def section(sources: Sources) -> Section | None:

@@ -8,7 +8,7 @@ import pytest
 
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, HoldOut, RunErrors
 from balance_cli.report.blocks import BulletList, Chart, Details, Paragraph, Table
-from balance_cli.report.diagnosis import section
+from balance_cli.report.diagnosis import section, verdict_sentence
 from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
 from balance_cli.report.diagnosis_figures import residual_figure
 from balance_cli.report.diagnosis_residual import residual_shares
@@ -41,6 +41,16 @@ def test_the_section_stands_on_the_whole_page():
     words = " ".join(tags.text)
     assert "Diagnosis: explained; with the effects found the model describes the data within their noise." in words
     assert "a tap on the support" in words and "Gyroscopic-coupling was not tested: all runs are at rest" in words
+
+
+def test_what_changes_no_load_is_not_found_beside_a_verdict_of_nothing_missing():
+    """The page said "nothing missing. Found:" and ten zeros of channels."""
+    light = replace(support_effect(), worth={"Fx": 0.0, "Mz": 0.05})
+    (source,) = given(diagnosis(NOTHING_MISSING, effects=(light, light))).diagnoses
+    assert "Found:" not in verdict_sentence(source)
+    assert verdict_sentence(source).endswith(f"Found, of no consequence to any load: {light.name}.")
+    (source,) = given(diagnosis(effects=(light, replace(light, worth={"Fx": 3.0})))).diagnoses
+    assert f" Found: {light.label}. " in verdict_sentence(source)
 
 
 def test_effects_stand_with_evidence_and_what_they_cannot_be_told_from():
