@@ -8,6 +8,7 @@ the record it leaves harmonics of constant amplitude, those of the regression, a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +54,29 @@ class ModulationRemoved:
         """Return samples start to stop."""
         block = self.parent.read(start, stop)
         time = (start + np.arange(len(block.channels))) / self.rate
-        carrier = np.exp(2j * np.pi * np.outer(time, self.frequency))
-        change = np.einsum("tn,tns->ts", carrier, self.modulation(time)).real
+        change = self._change(time)
         count = block.channels.shape[1]
         stacked = np.array(block.channels if block.loads is None else np.hstack([block.channels, block.loads]))
         stacked[:, list(self.columns)] -= change
         return SampleBlock(start, stacked[:, :count], None if block.loads is None else stacked[:, count:])
+
+    def _change(self, time: Array) -> Array:
+        """Return the modulated carriers (t, signals) at rising times (t,) [s].
+
+        Between two breaks of the envelopes they are products of powers and carriers with coefficients, one matrix
+        product for all samples there.
+        """
+        index, offset = self.modulation.locate(time)
+        coefficients = self.modulation.coefficients
+        carrier = np.exp(2j * np.pi * np.outer(time, self.frequency))
+        terms = offset[:, None, None] ** np.arange(len(coefficients))[:, None] * carrier[:, None]
+        terms = terms.reshape(len(time), -1)
+        change = np.empty((len(time), coefficients.shape[-1]))
+        edges = [0, *(np.flatnonzero(np.diff(index)) + 1), len(time)]
+        for first, last in pairwise(edges):
+            of_interval = coefficients[:, index[first]].reshape(terms.shape[1], -1)
+            change[first:last] = (terms[first:last] @ of_interval).real
+        return change
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class PiecewisePolynomial:
     def __call__(self, x: ArrayLike) -> Numbers:
         """Return the values (..., *) at x (...)."""
         points = np.asarray(x, float)
-        index, offset = self._locate(points.ravel())
+        index, offset = self.locate(points.ravel())
         column = offset.reshape(-1, *(1,) * (self.coefficients.ndim - 2))
         value = self.coefficients[-1][index]
         for coefficient in self.coefficients[-2::-1]:
@@ -44,7 +44,7 @@ class PiecewisePolynomial:
     def with_slope(self, x: ArrayLike) -> tuple[Numbers, Numbers]:
         """Return values (...) and slopes (...) at x (...) of a spline without further axes: both from one search."""
         points = np.asarray(x, float)
-        index, offset = self._locate(points.ravel())
+        index, offset = self.locate(points.ravel())
         value = self.coefficients[-1][index]
         slope = value * (len(self.coefficients) - 1)
         for power in range(len(self.coefficients) - 2, -1, -1):
@@ -63,7 +63,7 @@ class PiecewisePolynomial:
         power = np.arange(1, len(self.coefficients)).reshape(-1, *(1,) * (self.coefficients.ndim - 1))
         return PiecewisePolynomial(self.breaks, self.coefficients[1:] * power)
 
-    def _locate(self, x: Array) -> tuple[Index, Array]:
+    def locate(self, x: Array) -> tuple[Index, Array]:
         """Return the polynomial of each x (n,), and x less the break below it."""
         index = np.clip(np.searchsorted(self.breaks, x, "right") - 1, 0, len(self.breaks) - 2)
         return index, x - self.breaks[index]

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.flags import NOT_STEADY, UNMODELLED_LINE, UNTESTED
 from balance_cli.reduction.model_sources import ModelSource
+from balance_cli.reduction.speed_modulation import ModulationRemoved
+from balance_cli.signals.interpolating_spline import interpolating_spline
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run
 from tests.support.other_rigs import other_rig
@@ -76,3 +79,19 @@ def test_a_harmonic_that_steps_is_still_not_steady(source):
     words, _ = flags(source, speed_change=governor, further=doubled)
     assert NOT_STEADY in words[0]
     assert all(NOT_STEADY not in row for row in words[3:])
+
+
+@pytest.mark.parametrize("per_break", [3, 50])
+def test_carriers_with_their_envelopes_are_taken_out_between_and_beyond_breaks(per_break):
+    """The sum by matrix products between breaks is that of the envelopes at each sample."""
+    rng, rate, samples = np.random.default_rng(4), 800.0, 500
+    breaks = np.arange(-2, samples // per_break - 1) * per_break / rate
+    points = rng.standard_normal((len(breaks), 3, 2)) + 1j * rng.standard_normal((len(breaks), 3, 2))
+    envelopes, frequency = interpolating_spline(breaks, points, degree=3), np.array([17.0, 34.0, 51.0])
+    time = np.arange(samples) / rate
+    parent = MemorySource(np.zeros((samples, 3)), None)
+    removed = ModulationRemoved(parent, rate, frequency, envelopes, (2, 0))
+    carriers = np.exp(2j * np.pi * np.outer(time, frequency))
+    expected = -np.real(np.sum(carriers[..., None] * envelopes(time), axis=1))
+    read = np.vstack([removed.read(0, 123).channels, removed.read(123, samples).channels])
+    assert np.allclose(read[:, [2, 0]], expected, rtol=1e-12, atol=1e-12) and not read[:, 1].any()
