@@ -158,7 +158,7 @@ def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
 def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     from balance_cli.signals.period_consistency import period_faults
     from balance_cli.signals.rotor.pulse_consistency import pulse_faults
-    from balance_cli.signals.rotor.record_length import record_length_faults
+    from balance_cli.signals.rotor.record_length import revolution_faults
 
     run, faults = read_run(path)
     if run is None:
@@ -169,7 +169,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
         channels = live_channels(run, geometry).left_out
         faults += (*geometry_mismatches(run, geometry), *full_range_faults(run, geometry))
     rotor = None if geometry is None else geometry.rotor
-    of_pulses = tuple(pulse_faults(run, None if rotor is None else rotor.speed)) or tuple(record_length_faults(run))
+    of_pulses = tuple(pulse_faults(run, None if rotor is None else rotor.speed)) or tuple(revolution_faults(run))
     faults += (*of_pulses, *period_faults(run))
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())

@@ -190,3 +190,15 @@ def test_a_record_of_fewer_revolutions_than_reduce_needs(tmp_path: Path, turns: 
             file[name].attrs.update(attributes)
     fault = ("rotor/pulse_times", f"holds {turns} revolutions; at least 10 are needed")
     assert faults(path) == ([fault] if said else [])
+
+
+def test_pulses_that_reduce_cannot_repair(tmp_path: Path) -> None:
+    path = tmp_path / "wind-1.h5"
+    shutil.copy(WIND, path)
+    with h5py.File(path, "r+") as file:
+        pulses = file["rotor/pulse_times"][:]
+        third = len(pulses) // 3
+        del file["rotor/pulse_times"]
+        file["rotor/pulse_times"] = np.delete(pulses, np.arange(third, 2 * third))
+    ((place, fault),) = faults(path)
+    assert place == "rotor/pulse_times" and "the pulses cannot be repaired" in fault

@@ -1,4 +1,4 @@
-"""Records of check and wind runs that are too short for harmonics."""
+"""Records of check and wind runs that are too short for harmonics, or have pulses that give no azimuth."""
 
 from __future__ import annotations
 
@@ -16,18 +16,22 @@ FEWEST_REVOLUTIONS = 10
 """Revolutions of the shortest interval; fewer leave too few lines between two harmonics for the noise."""
 
 
-def record_length_faults(run: Run) -> Iterator[UserError]:
-    """Yield what `reduce` refuses a short run with pulses for: too few revolutions, or pulses that give no azimuth."""
+def revolution_faults(run: Run) -> Iterator[UserError]:
+    """Yield what `reduce` refuses a run with pulses for: too few revolutions, or pulses that cannot be repaired."""
     if run.kind not in ("check", "wind") or run.pulse_times is None:
         return
     duration = run.samples / sample_rate(run)
-    # The pulses agree with the stated speed, or have a fault of their own: only short records are counted.
-    if run.rotor_speed * duration > 2 * FEWEST_REVOLUTIONS:
-        return
-    from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
-
+    recorded = run.pulse_times[run.pulse_times <= duration]
     try:
-        require_revolutions(run, azimuth_from_pulses(run.pulse_times[run.pulse_times <= duration]))
+        # The pulses agree with the stated speed, or have a fault of their own: only short records are counted.
+        if run.rotor_speed * duration > 2 * FEWEST_REVOLUTIONS:
+            from balance_cli.signals.rotor.pulse_repair import repair_pulses
+
+            repair_pulses(recorded)
+        else:
+            from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
+
+            require_revolutions(run, azimuth_from_pulses(recorded))
     except UserError as error:
         yield UserError(error.fault, run.file, "rotor/pulse_times", error.remedy)
 
