@@ -202,3 +202,13 @@ def test_pulses_that_reduce_cannot_repair(tmp_path: Path) -> None:
         file["rotor/pulse_times"] = np.delete(pulses, np.arange(third, 2 * third))
     ((place, fault),) = faults(path)
     assert place == "rotor/pulse_times" and "the pulses cannot be repaired" in fault
+
+
+def test_missing_pulses_do_not_contradict_the_lines_of_the_channels(tmp_path: Path) -> None:
+    path = tmp_path / "wind-1.h5"
+    shutil.copy(WIND, path)
+    with h5py.File(path, "r+") as file:
+        pulses = file["rotor/pulse_times"][:]
+        del file["rotor/pulse_times"]
+        file["rotor/pulse_times"] = np.delete(pulses, np.arange(5, len(pulses) - 5, 10))
+    assert faults(path) == []

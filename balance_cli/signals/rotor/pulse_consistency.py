@@ -13,6 +13,7 @@ from balance_cli.campaign.recording.attribute_checks import RPM_PER_HERTZ
 from balance_cli.campaign.recording.run import Run, read_channel_rows
 from balance_cli.io.errors import UserError
 from balance_cli.signals.amplitude_spectrum import normalize_channels
+from balance_cli.signals.rotor.pulse_repair import repair_pulses
 from balance_cli.signals.rotor.spectral_floor import local_maxima, spectral_floor
 from balance_cli.signals.run_samples import sample_rate
 
@@ -139,6 +140,15 @@ def _middle_pulses(pulses: Array, pulses_per_revolution: float = 1.0) -> Array:
     return pulses[max(0, middle - half) : middle + half + 1]
 
 
+def _with_missing_pulses(pulses: Array) -> Array:
+    """Return the pulses with a time for each that is missing; as they are where they cannot be repaired."""
+    try:
+        repaired = repair_pulses(pulses)
+    except UserError:
+        return pulses
+    return np.interp(np.arange(repaired.revolutions[-1] + 1), repaired.revolutions, repaired.times)
+
+
 def coverage_fault(run: Run) -> str:
     """Return what is wrong between the times of the pulses and the length of the record; empty where nothing is."""
     assert run.pulse_times is not None
@@ -154,10 +164,10 @@ def coverage_fault(run: Run) -> str:
 def line_spacing(run: Run) -> tuple[float, float] | None:
     """Return the pulse rate and the spacing of the lines of the channels [Hz] where they contradict, else None.
 
-    Both are taken in the middle of the pulses.
+    Both are taken in the middle of the pulses; those that are missing count.
     """
     assert run.pulse_times is not None
-    pulses = _middle_pulses(run.pulse_times)
+    pulses = _with_missing_pulses(_middle_pulses(run.pulse_times))
     rate = (len(pulses) - 1) / float(pulses[-1] - pulses[0])
     spread = _speed_spread(pulses)
     lines, weight, resolution = _strongest_lines(run, float(pulses[0]), float(pulses[-1]))
