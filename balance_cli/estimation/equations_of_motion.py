@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.equation_error import MIN_ARM, measured_forces
+from balance_cli.estimation.equation_error import MIN_ARM, MeasuredForces, measured_forces
+from balance_cli.estimation.recorded_loads import attached_exciters
 from balance_cli.estimation.regression_residual import (
     MAX_START_LINES,
     RegressionResidual,
@@ -17,7 +19,7 @@ from balance_cli.estimation.regression_residual import (
     every_nth_line,
     line_stride,
 )
-from balance_cli.model.exciter_loads import loads_without_reaction, loads_without_reaction_jacobian
+from balance_cli.model.exciter_loads import attach_exciters, loads_without_reaction, loads_without_reaction_jacobian
 from balance_cli.model.response_jacobian import multiply_derivatives
 from balance_cli.model.system import System, dynamic_stiffness
 
@@ -33,11 +35,12 @@ MIN_LOAD_RATIO = 0.05
 class _MotionLines:
     """Lines of one rotor speed: frequency (K,) [Hz], forces (K, r) of springs `rows`, loads (K, 6), weights (K, n + r).
 
-    `is_static`: no exciter applied the loads.
+    `is_static`: no exciter applied the loads; `attached` (6,): the exciters that resist the motion of the hub.
     """
 
     spin: float
     is_static: bool
+    attached: NDArray[np.bool_]
     frequency: Array
     rows: Index
     forces: ComplexArray
@@ -60,24 +63,39 @@ def motion_residuals(
     """Residuals of the lines up to `max_frequency` [Hz], about `max_lines` of them where there are more."""
     stride = line_stride(batches, max_frequency, max_lines)
     return [
-        _build_motion_residual(batch, start, stride, max_frequency)
+        residual
         for batch in batches
         if batch.frequency[0] <= max_frequency
+        for residual in _build_motion_residuals(batch, start, stride, max_frequency)
     ]
 
 
-def _build_motion_residual(
+def _build_motion_residuals(
     batch: Batch, start: System, stride: int, max_frequency: float
-) -> Callable[[System], RegressionResidual]:
-    """The residual of equations of motion and readings after the motion of each line has been fitted to both."""
+) -> list[Callable[[System], RegressionResidual]]:
+    """The residuals of equations of motion and readings after the motion of each line has been fitted to both.
+
+    One for each set of exciters that are attached, where these resist the motion.
+    """
     selection = every_nth_line(batch, stride, max_frequency)
     selection = selection[_loaded_lines(batch)[selection]]
     measured = measured_forces(batch, start)
+    resist = not batch.is_static and attach_exciters(start, np.ones(6, bool)) is not start
+    attached = attached_exciters(batch)[selection] & resist
+    sets, index = np.unique(attached, axis=0, return_inverse=True)
+    return [
+        partial(_motion_residual, lines=_motion_lines(batch, start, measured, selection[index.reshape(-1) == i], one))
+        for i, one in enumerate(sets)
+    ]
+
+
+def _motion_lines(
+    batch: Batch, start: System, measured: MeasuredForces, selection: Index, attached: NDArray[np.bool_]
+) -> _MotionLines:
     frequency, loads = measured.frequency[selection], measured.loads[selection]
     weight = _motion_row_weight(start, frequency, loads, len(measured.rows))
     forces = measured.forces[selection]
-    lines = _MotionLines(measured.spin, batch.is_static, frequency, measured.rows, forces, loads, weight)
-    return lambda system: _motion_residual(system, lines)
+    return _MotionLines(measured.spin, batch.is_static, attached, frequency, measured.rows, forces, loads, weight)
 
 
 def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
@@ -88,6 +106,7 @@ def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
 
 
 def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
+    system = attach_exciters(system, lines.attached) if lines.attached.any() else system
     A = dynamic_stiffness(system.pencil, lines.frequency, lines.spin)
     of_forces, of_loss = system.readings[lines.rows], system.readings_loss[lines.rows]
     of_frequency_stiffness = system.readings_frequency_stiffness[lines.rows]

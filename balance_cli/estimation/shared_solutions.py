@@ -11,11 +11,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.model.exciter_loads import attach_exciters
 from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, solve
 from balance_cli.model.transient_modes import TransientModes, transient_modes
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Value = TypeVar("Value")
 
 MAX_KEPT = 4
@@ -39,13 +41,16 @@ class SharedSolutions:
         cached = self._solutions.get(key)
         return _keep(self._solutions, key, solve(self._system, frequency, spin)) if cached is None else cached
 
-    def transient_modes(self, spin: float, highest: float, fastest_decay: float, derivatives: bool) -> TransientModes:
-        """The modes of `model.transient_modes.transient_modes` of this system."""
-        key = (spin, highest, fastest_decay, derivatives)
+    def transient_modes(
+        self, spin: float, highest: float, fastest_decay: float, derivatives: bool, attached: Mask
+    ) -> TransientModes:
+        """The modes of `model.transient_modes.transient_modes` of this system with the exciters `attached` (6,)."""
+        system = attach_exciters(self._system, attached)
+        key = (spin, highest, fastest_decay, derivatives, None if system is self._system else attached.tobytes())
         cached = self._modes.get(key)
         if cached is not None:
             return cached
-        return _keep(self._modes, key, transient_modes(self._system, spin, highest, fastest_decay, derivatives))
+        return _keep(self._modes, key, transient_modes(system, spin, highest, fastest_decay, derivatives))
 
 
 def _keep(cache: dict[Hashable, Value], key: Hashable, value: Value) -> Value:

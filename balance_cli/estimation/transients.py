@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch, BatchRun
 from balance_cli.estimation.inner_products import MANY_PARAMETERS, real_inner_product
+from balance_cli.estimation.recorded_loads import attached_exciters
 from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.response_jacobian import Selection, mask_or_full_slice
 from balance_cli.model.transient_modes import TransientModes, divided_differences
@@ -103,7 +104,8 @@ def fit_transients(
             continue
         lines, window, max_frequency = part
         fastest_decay = MAX_DECAY / max(float(window.start.min()), window.step)
-        free = shared.transient_modes(batch.spin, max_frequency, fastest_decay, derivatives)
+        attached = attached_exciters(batch)[lines.start]
+        free = shared.transient_modes(batch.spin, max_frequency, fastest_decay, derivatives, attached)
         frequency = batch.frequency[batch.lines.index[lines]]
         if not len(free.s):
             continue

@@ -12,6 +12,8 @@ In static runs weights act, for which there is the matrix of their misalignment 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +37,21 @@ def has_plain_exciters(equations: Equations) -> bool:
 def exciters_resist_motion(equations: Equations) -> bool:
     """Whether a mass or a stiffness beyond a force cell takes a part of its load where the hub moves."""
     return bool(np.any(equations.exciter_mass.value) or np.any(equations.exciter_stiffness.value))
+
+
+def attach_exciters(system: System, attached: Mask) -> System:
+    """Return the system whose hub moves the masses and stretches the stiffnesses of exciters, `attached` being (6,).
+
+    A + F C D F' in place of A: its response to e is that of `true_load_matrices`, and its modes are those of a run.
+    """
+    equations = system.equations
+    resistance = (equations.exciter_mass, equations.exciter_stiffness)
+    if not any(np.any(part.value) or np.any(part.derivative) for part in resistance):
+        return system
+    driven = system.inputs @ equations.exciter_cross_axis
+    mass, stiffness = ((driven * (attached.astype(float)[None] @ part)) @ equations.inputs.T for part in resistance)
+    pencil = replace(system.pencil, mass=system.pencil.mass + mass, stiffness=system.pencil.stiffness + stiffness)
+    return replace(system, pencil=pencil)
 
 
 def true_load_matrices(

@@ -31,7 +31,7 @@ from balance_cli.reduction.weighted_least_squares import SolvedLoads
 ComplexArray = NDArray[np.complex128]
 
 HOLD_OUT_KINDS = ("check", "sweep")
-OTHER_EXCITERS = "made with other exciters: it is described without the masses that those of the sweeps move"
+OTHER_EXCITERS = "made with other exciters: it is described without the mass and stiffness of those of the sweeps"
 
 
 def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -> HoldOut:

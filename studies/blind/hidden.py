@@ -311,7 +311,7 @@ def drifting_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 
 def exciter_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: a stinger's mass beyond the force cell, another in each set-up."""
+    """A stinger's mass beyond the force cell, another in each set-up."""
     masses = truth.rig.mass * rng.uniform(0.002, 0.02, 6)
 
     def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
@@ -321,7 +321,24 @@ def exciter_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
         added = sum(masses[i] * np.outer(B[:6, i % 3], B[:6, i % 3]) for i in record.excited)
         return replace(mechanics, M=mechanics.M + padded(np.asarray(added), mechanics.size))
 
-    return Hidden("", {}, replace(truth, per_run=per_run))
+    return Hidden("exciter-mass", {}, replace(truth, per_run=per_run))
+
+
+def bending_stingers(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Each stinger holds the hub across the axis of its exciter by its bending stiffness."""
+    across = np.mean(truth.rig.stiffness) * rng.uniform(0.0005, 0.005, 6)
+
+    def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
+        if record.kind != "sweep":
+            return mechanics
+        B = mechanics.B[:6, :3]
+        added = np.zeros((6, 6))
+        for i in record.excited:
+            lateral = np.delete(B, i % 3, axis=1)
+            added += across[i] * lateral @ lateral.T
+        return replace(mechanics, K=mechanics.K + padded(added, mechanics.size))
+
+    return Hidden("exciter-stiffness", {}, replace(truth, per_run=per_run))
 
 
 def drifting_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
@@ -363,6 +380,13 @@ LINEAR: tuple[Cause, ...] = (
 )
 NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
 # Most of them no effect describes.
-MORE: tuple[Cause, ...] = (cell_dashpot, viscous_cell, parallel_dashpot, exciter_low_pass, gravity_stiffness)
+MORE: tuple[Cause, ...] = (
+    cell_dashpot,
+    viscous_cell,
+    parallel_dashpot,
+    exciter_low_pass,
+    gravity_stiffness,
+    bending_stingers,
+)
 """Effects that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -174,23 +174,6 @@ def exciter_suspensions(truth: Truth, rng: np.random.Generator) -> Hidden:
     return Hidden("", {}, replace(truth, load_dynamics=dynamics))
 
 
-def bending_stingers(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Unknown: each stinger holds the hub across the axis of its exciter by its bending stiffness."""
-    across = np.mean(truth.rig.stiffness) * rng.uniform(0.0005, 0.005, 6)
-
-    def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
-        if record.kind != "sweep":
-            return mechanics
-        B = mechanics.B[:6, :3]
-        added = np.zeros((6, 6))
-        for i in record.excited:
-            lateral = np.delete(B, i % 3, axis=1)
-            added += across[i] * lateral @ lateral.T
-        return replace(mechanics, K=mechanics.K + padded(added, mechanics.size))
-
-    return Hidden("", {}, replace(truth, per_run=per_run))
-
-
 def _suspended(f: Array, low: float, high: float, ratios: tuple[float, float]) -> ComplexArray:
     """Force per command: none at the lower frequency, much at the higher one."""
     zero, pole = (1 + 2j * d * f / f0 - (f / f0) ** 2 for d, f0 in zip(ratios, (low, high), strict=True))
@@ -205,7 +188,6 @@ UNKNOWN: tuple[Cause, ...] = (
     warming_cells,
     spinning_mode,
     loosened_bolt,
-    bending_stingers,
     common_supply,
     missing_codes,
     stribeck_seal,

@@ -1,4 +1,4 @@
-"""Masses that the exciters of each set-up move are found together, with truth from point masses at the hub."""
+"""Masses and stiffnesses of the exciters of each set-up are found together, with truth from point masses at the hub."""
 
 from dataclasses import replace
 
@@ -8,6 +8,7 @@ import pytest
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search.refit import fit_until_stable
+from balance_cli.diagnosis.search.search import search
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.set_ups import add_set_ups_by_whole_fit, set_up_candidates
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
@@ -22,16 +23,22 @@ MASSES = {"Fx": 3.0, "Fz": 0.0, "My": 6.0}
 """Of a point at the hub [kg], while this component is excited: it moves along x, y and z."""
 
 
-def with_point_mass(mass):
+def with_point_mass(_, mass):
     x, y, z = RIG.hub
     effect = DeclaredEffect(name="added-mass", where=(), parameters={"mass": mass, "x": x, "y": y, "z": z})
     return RIG.model_copy(update={"effects": (effect,)}) if mass else RIG
 
 
-def sweeps(masses, delay=0.0):
+def with_stinger(excited, stiffness):
+    places = (tuple(dict.fromkeys((excited, along))) for along in ("Fx", "Fy", "Fz"))
+    values = {"name": "exciter-stiffness", "parameters": {"stiffness": stiffness}}
+    return RIG.model_copy(update={"effects": tuple(DeclaredEffect(where=where, **values) for where in places)})
+
+
+def sweeps(values, delay=0.0, rig_with=with_point_mass):
     rng, frequency = np.random.default_rng(3), np.linspace(4.0, 120.0, 100)
-    models = {name: balance_model(with_point_mass(mass)) for name, mass in masses.items()}
-    runs = [model_lines(models[name], name, COMPONENTS.index(name), frequency, NOISE, rng, delay) for name in masses]
+    models = {name: balance_model(rig_with(name, value)) for name, value in values.items()}
+    runs = [model_lines(models[name], name, COMPONENTS.index(name), frequency, NOISE, rng, delay) for name in values]
     return [replace(run, covariance=run.covariance + unloaded_noise(run)) for run in runs]
 
 
@@ -65,6 +72,23 @@ def test_masses_of_all_set_ups_are_found_together():
     assert state.error > 10 * found.error
 
 
+def test_stingers_are_found_by_a_search_after_its_first_round():
+    """They hold the hub along all axes while a component is excited: one stiffness alone describes little."""
+    stiffnesses = {"Fx": 3e4, "My": 5e4}
+    runs = sweeps(stiffnesses, rig_with=with_stinger)
+    lines, state = started(runs)
+    pool = set_up_candidates(runs, RIG, SETTINGS)
+    result = search(state, lines, lambda _: False, (), lambda: (), pool, SETTINGS)
+    kept = {trial.label for trial in result.trials if trial.decision == "accepted"}
+    expected = {label(a, b).replace("mass", "stiffness"): k for a, k in stiffnesses.items() for b in ("Fx", "Fy", "Fz")}
+    assert kept == set(expected)
+    values = dict(zip(result.state.model.parameters.names, result.state.theta.tolist(), strict=True))
+    for name, stiffness in expected.items():
+        # Along z they are 0.2 % of that of the cells.
+        assert values[f"{name}.stiffness"] == pytest.approx(stiffness, rel=0.15 if name.endswith("Fz") else 0.02)
+    assert {trial.round for trial in result.trials} == {1}
+
+
 def test_what_they_leave_large_is_not_theirs():
     """A delay of all channels beside them is no mass: so many values describe a part of any cause."""
     lines, state = started(sweeps(MASSES, delay=2e-3))
@@ -84,5 +108,6 @@ def test_places_that_act_in_the_same_runs_are_tried_once():
     (run,) = sweeps({"Fx": 0.0})
     both = replace(run, components=("Fx", "My"))
     labels = [item.label for item in set_up_candidates([both], RIG, SETTINGS)]
-    assert labels == ["exciter-mass@Fx", "exciter-mass@My", "exciter-mass@Fx,Fy", "exciter-mass@Fx,Fz"]
-    assert not set_up_candidates([both], RIG, replace(SETTINGS, excluded=("exciter-mass",)))
+    kinds, places = ("exciter-mass", "exciter-stiffness"), ("Fx", "My", "Fx,Fy", "Fx,Fz")
+    assert sorted(labels) == sorted(f"{kind}@{place}" for kind in kinds for place in places)
+    assert not set_up_candidates([both], RIG, replace(SETTINGS, excluded=kinds))

@@ -81,8 +81,10 @@ def parameters_of_interest(parameters: tuple[EffectParameter, ...]) -> tuple[Eff
     return tuple(item for item in parameters if not item.nuisance)
 
 
-def candidates(geometry: Geometry, empirical: bool = False, excluded: Collection[str] = ()) -> tuple[Candidate, ...]:
-    """All candidates that the effects of the geometry leave; empirical ones only if asked for, those on request never.
+def candidates(
+    geometry: Geometry, empirical: bool = False, excluded: Collection[str] = (), on_request: bool = False
+) -> tuple[Candidate, ...]:
+    """All candidates that the effects of the geometry leave; empirical ones and those on request only if asked for.
 
     `excluded`: names of effects, or names with the first part of a place (`NAME@CELL`), that are none.
     """
@@ -92,7 +94,7 @@ def candidates(geometry: Geometry, empirical: bool = False, excluded: Collection
     for effect in effects.EFFECTS:
         if (effect.empirical and not empirical) or (effect.search.at_most_once and effect.name in names):
             continue
-        if effect.search.on_request:
+        if effect.search.on_request and not on_request:
             continue
         places = (effect.search.places or effect.places)(geometry)
         pool += [

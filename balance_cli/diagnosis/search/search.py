@@ -68,15 +68,7 @@ def search(
     """
     result = _add_before_rounds(start, lines, initial_sets, find_late, settings)
     base, first = result.state, len(result.trials)
-    result = _add_effects(result, 1, lines, announce, settings)
-    last = last_round(result.trials)
-    with_set_ups, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, last + 1, settings)
-    if with_set_ups is None:
-        result = result.add(result.state, trials, gains)
-    else:
-        result = result.supersede(first).add(with_set_ups, trials, gains)
-        base, first = with_set_ups, len(result.trials)
-        result = _add_effects(result, last + 2, lines, announce, settings)
+    result = _add_effects(result, 1, lines, announce, settings, of_set_ups)
     if result.state.error <= settings.rounds.stuck_error or announce("whole fits of a further body"):
         return result
     last = last_round(result.trials)
@@ -115,10 +107,19 @@ def _add_before_rounds(
 
 
 def _add_effects(
-    result: SearchResult, first_round: int, lines: SearchLines, announce: Announce, settings: SearchSettings
+    result: SearchResult,
+    first_round: int,
+    lines: SearchLines,
+    announce: Announce,
+    settings: SearchSettings,
+    of_set_ups: Sequence[Candidate] = (),
 ) -> SearchResult:
-    """Add effects one by one until none helps; where the error stays large, fit everything again."""
+    """Add effects one by one until none helps; where the error stays large, fit everything again.
+
+    Where the first one leaves a large error, those `of_set_ups` are tried in its place, all at once.
+    """
     limits, stuck = settings.rounds, False
+    base, first = result.state, len(result.trials)
     tried: SearchState | None = None
     for number in range(first_round, first_round + limits.max_effects):
         state = result.state
@@ -128,6 +129,11 @@ def _add_effects(
             break
         added = search_round(state, lines, number, candidates(state.geometry, excluded=settings.excluded), settings)
         result = result.add(added.state or state, added.trials, added.alternatives)
+        if number == first_round:
+            found, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, number, settings)
+            if found is not None:
+                result = result.supersede(first).add(found, trials, gains)
+                continue
         if not stuck and _is_slow(state, added.state, settings):
             restarted = restart_if_better(result.state, lines, settings)
             stuck, tried = restarted is None, result.state

@@ -2,8 +2,9 @@
 
 Each exciter moves a mass beyond its force cell. With two exciters in a set-up, in three set-ups, that is five masses,
 and what one of them alone describes is small beside what the others leave: the rounds of the search took bodies and
-dampers in their place (chi-square 23 900 per degree of freedom; with the masses together 1.00). Where the rounds end
-with a large error, a whole fit from where they began has all of them, and keeps those that it finds.
+dampers in their place (chi-square 23 900 per degree of freedom; with the masses together 1.00). The same holds for the
+stiffness of stingers. Where the first round leaves a large error, a whole fit from where it began has all of them, and
+keeps those that it finds.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ def set_up_candidates(
     runs: Sequence[RunSpectrum], geometry: Geometry, settings: SearchSettings
 ) -> tuple[Candidate, ...]:
     """Return the effects of set-ups at their places, one of those that act in the same runs along the same motion."""
-    pool = [item for item in candidates(geometry, excluded=settings.excluded) if item.effect.search.in_every_set_up]
+    every = candidates(geometry, excluded=settings.excluded, on_request=True)
+    pool = [item for item in every if item.effect.search.in_every_set_up]
     found = dict[tuple[str, frozenset[str], str], Candidate]()
     for item in sorted(pool, key=lambda item: len(item.placed_effect.where)):
         excited, along = item.placed_effect.where[0], item.placed_effect.where[-1]
@@ -50,14 +52,15 @@ def add_set_ups_by_whole_fit(
 ) -> tuple[SearchState | None, tuple[Trial, ...], dict[str, dict[str, float]]]:
     """Return `base` with those effects of the pool that a whole fit with all of them finds, trials, and gains.
 
-    None where the `current` state has no large error, or they leave one: so many values describe a part of any cause.
+    None where the `current` state has no large error, or those found leave one: so many values describe a part of any
+    cause, and all of the pool have values that hardly matter, along which a fit is slow.
     Trials have this round `number`.
     """
     largest = settings.rounds.large_error
     if len(pool) < 2 or current.error <= largest or settings.fit.is_over:
         return None, (), {}
     end = whole_fit(base, pool, lines, settings)
-    found = _found(end, pool, lines, settings) if end.error <= largest else []
+    found = _found(end, pool, lines, settings) if describes_more(end, current, settings) else []
     if not found:
         return None, (), {}
     end = whole_fit(base, found, lines, settings)

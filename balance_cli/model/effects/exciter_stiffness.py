@@ -53,5 +53,5 @@ EFFECT = Effect(
     places=each_component_and_motion,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(on_request=True),
+    search=SearchHints(on_request=True, in_every_set_up=True),
 )

@@ -110,7 +110,8 @@ class SearchHints:
     - `alike_in_all`: the effect that looks the same where this one acts on all channels, or on all exciters.
     - `whole_fit_starts(geometry)`: at `all` exciters it turns the phase of all channels; whole fits begin here.
     - `in_every_set_up`: each set-up of the exciters may have it, with a value of its own, so that all places are tried
-      at once. The first name of a place is the component excited, the last one what it acts on.
+      at once, those on request as well. The first name of a place is the component excited, the last one what it
+      acts on.
     """
 
     places: Callable[[Geometry], tuple[Where, ...]] | None = None
