@@ -81,6 +81,15 @@ class SweptRig:
         loads = np.stack([up[:: (-1) ** j] for j in range(len(self.components))], axis=1)
         return self.record(loads, seed, excitation="sine-sweep")
 
+    def stepped(self, seed: int = 0, seconds: float = 10.0, steps: int = 36) -> Run:
+        """Sines of one frequency after the other, 2 to 140 Hz, each with smooth changes in a tenth of its time."""
+        position = np.arange(int(seconds * self.rate)) / (seconds * self.rate) * steps
+        step, inside = np.floor(position).astype(int), position % 1.0
+        phase = 2 * np.pi * np.geomspace(2, 140, steps)[step] * inside * seconds / steps
+        edge = np.sin(np.pi / 2 * np.clip(10.0 * np.minimum(inside, 1.0 - inside), 0.0, 1.0)) ** 2
+        loads = np.sqrt(2) * 40.0 * np.sin(phase) * edge
+        return self.record(np.repeat(loads[:, None], len(self.components), axis=1), seed, excitation="stepped")
+
     def _filter(self, frequency: float) -> tuple[np.ndarray, np.ndarray]:
         w = 2 * np.pi * frequency
         b, a, _ = signal.cont2discrete(([w * w], [1, 2 * self.zeta * w, w * w]), 1 / self.rate, "foh")

@@ -36,13 +36,17 @@ DRAFT_ORDERS = tuple(ModelOrders(2 + poles, 1 + poles, poles) for poles in (0, 1
 """Orders of the first pass, which serves to find the noise: up to two modes in a window."""
 RECORD_MODEL_ORDERS = (
     *DRAFT_ORDERS,
+    ModelOrders(2, 1, 1),
+    ModelOrders(4, 2, 1),
     ModelOrders(5, 4, 3),
     ModelOrders(3, 2, 0),
     ModelOrders(4, 4, 0),
 )
 """Candidates of the second pass: up to three modes in a window, and polynomials where no mode is near. In none
 has the transient a higher degree than the response: near the ends of a sweep residuals do not tell one from the other,
-and with degrees (2, 3) errors there were 2.3 sigma."""
+and with degrees (2, 3) errors there were 2.3 sigma. Beside its pole a mode needs less in a narrow window, (2, 1, 1),
+and more of the response alone in a wide one, (4, 2, 1): polynomials in their place described stepped records as
+well, with a transient that held part of the response, and errors of 3 to 12 sigma."""
 POLYNOMIAL_ORDERS = ModelOrders(2, 2, 0)
 """Orders of the local polynomial method; second degree is customary (Pintelon and Schoukens, 2012, chapter 7)."""
 RATIONAL_WIDTH = 0.132

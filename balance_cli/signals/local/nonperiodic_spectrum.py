@@ -19,6 +19,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.local.models import RECORD_MODEL_ORDERS, LocalModels, fit_local_models
 from balance_cli.signals.local.record_drift import record_drift
 from balance_cli.signals.local.scaled_spectrum import LEAST_POWER_SHARE, record_spectrum
+from balance_cli.signals.local.separation import separates_transient
 from balance_cli.signals.local.window import Remainder, denominator_errors, poles, remainder_at_center
 from balance_cli.signals.run_samples import run_error, sample_rate
 from balance_cli.signals.run_spectrum import RunSpectrum
@@ -119,8 +120,10 @@ def _rows_of_one_width(groups: Sequence[_Experiments], lines: int) -> tuple[Inde
 
 
 def _line_groups(models: LocalModels, window: int) -> list[_Experiments]:
-    """Experiments of the groups of lines for which this window is used."""
+    """Experiments of the groups of lines for which this window is used; none where it mixes loads and transient."""
     fit, first = models.fit[window], int(models.first[window])
+    if not separates_transient(fit, slice(*(models.assigned_lines[window] - first))):
+        return []
     noise = models.noise.equation_error_covariance(models.response, slice(first, first + len(fit.r)))
     errors = denominator_errors(fit, noise)
     central = np.abs(fit.r) <= CENTRAL_SHARE
