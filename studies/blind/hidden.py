@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +116,19 @@ def exciter_low_pass(truth: Truth, rng: np.random.Generator) -> Hidden:
 
     dynamics = dict.fromkeys(range(6), follows)
     return Hidden("exciter-low-pass@all", {"cutoff": cutoff}, replace(truth, load_dynamics=dynamics))
+
+
+def exciter_low_passes(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """What is recorded are the commands, which each exciter follows with a corner of its own."""
+    lowest, highest = truth.rig.modes[0], truth.rig.modes[-1]
+    corners = np.exp(rng.uniform(np.log(0.5 * lowest), np.log(10 * highest), 6))
+    ratios = rng.uniform(0.4, 1.0, 6)
+
+    def follows(f: Array, corner: float, ratio: float) -> ComplexArray:
+        return np.asarray(1 / (1 + 2j * ratio * f / corner - (f / corner) ** 2))
+
+    dynamics = {i: partial(follows, corner=corners[i], ratio=ratios[i]) for i in range(6)}
+    return Hidden("exciter-low-pass", {}, replace(truth, load_dynamics=dynamics))
 
 
 def added_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
@@ -387,6 +401,7 @@ MORE: tuple[Cause, ...] = (
     exciter_low_pass,
     gravity_stiffness,
     bending_stingers,
+    exciter_low_passes,
 )
 """Effects that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -1,4 +1,4 @@
-"""Masses and stiffnesses of the exciters of each set-up are found together, with truth from point masses at the hub."""
+"""Masses, stiffnesses and lags of the exciters of each set-up are found together, beside point masses at the hub."""
 
 from dataclasses import replace
 
@@ -89,6 +89,26 @@ def test_stingers_are_found_by_a_search_after_its_first_round():
     assert {trial.round for trial in result.trials} == {1}
 
 
+def with_lag(excited, corner):
+    lag = {"cutoff": corner, "natural_period": 0.8 / corner}
+    return RIG.model_copy(
+        update={"effects": (DeclaredEffect(name="exciter-low-pass", where=(excited,), parameters=lag),)}
+    )
+
+
+def test_commands_that_each_exciter_follows_in_its_own_way_are_found_together():
+    corners = {"Fx": 30.0, "Fz": 90.0, "My": 300.0}
+    runs = sweeps(corners, rig_with=with_lag)
+    lines, state = started(runs)
+    found, trials, _ = add_set_ups_by_whole_fit(
+        state, state, set_up_candidates(runs, RIG, SETTINGS), lines, 1, SETTINGS
+    )
+    assert {f"exciter-low-pass@{name}" for name in corners} <= {t.label for t in trials if t.decision == "accepted"}
+    for name, corner in corners.items():
+        lag = found.system().equations.load_lag.value[COMPONENTS.index(name)]
+        assert lag == pytest.approx([0.5 / (np.pi * corner), (0.4 / (np.pi * corner)) ** 2], rel=0.02)
+
+
 def test_what_they_leave_large_is_not_theirs():
     """A delay of all channels beside them is no mass: so many values describe a part of any cause."""
     lines, state = started(sweeps(MASSES, delay=2e-3))
@@ -109,5 +129,6 @@ def test_places_that_act_in_the_same_runs_are_tried_once():
     both = replace(run, components=("Fx", "My"))
     labels = [item.label for item in set_up_candidates([both], RIG, SETTINGS)]
     kinds, places = ("exciter-mass", "exciter-stiffness"), ("Fx", "My", "Fx,Fy", "Fx,Fz")
-    assert sorted(labels) == sorted(f"{kind}@{place}" for kind in kinds for place in places)
-    assert not set_up_candidates([both], RIG, replace(SETTINGS, excluded=kinds))
+    lags = {"exciter-low-pass@Fx", "exciter-low-pass@My"}
+    assert {*labels} == {f"{kind}@{place}" for kind in kinds for place in places} | lags
+    assert not set_up_candidates([both], RIG, replace(SETTINGS, excluded=(*kinds, "exciter-low-pass")))

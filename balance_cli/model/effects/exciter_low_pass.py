@@ -68,5 +68,5 @@ EFFECT = Effect(
     places=all_or_each_component,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(alike_in_all=LAGGING_CHANNELS, whole_fit_starts=_whole_fit_starts),
+    search=SearchHints(alike_in_all=LAGGING_CHANNELS, whole_fit_starts=_whole_fit_starts, in_every_set_up=True),
 )
