@@ -49,7 +49,8 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "wrong_channels": run.wrong_channels,
     }
     if run.check is not None:
-        summary |= {key: value for key, value in asdict(run.check).items() if key != "applied"}
+        of_rows = ("applied", "added_variance")
+        summary |= {key: value for key, value in asdict(run.check).items() if key not in of_rows}
         summary["wrong_channels"] = run.check.wrong_channels or run.wrong_channels
     if run.in_time is not None:
         summary |= _in_time_summary(run.in_time)

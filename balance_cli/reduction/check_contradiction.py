@@ -204,8 +204,10 @@ def contradicted_means(loads: RunLoads) -> dict[str, float]:
 
 
 def _variance(loads: RunLoads) -> Array:
-    """Return the variance (n+1, m) of reduced less known loads: that of the first, and the noise of the record."""
+    """Return the variance (n+1, m) of reduced less known loads; artefacts of former versions have its upper limit."""
     assert loads.check is not None
-    size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : HARMONICS_COMPARED + 1]) ** 2, axis=0))
-    noise = np.array([loads.check.load_noise.get(name, 0.0) for name in loads.components]) * size
-    return np.asarray(loads.sigma_cosine**2 + loads.sigma_sine**2 + noise**2)
+    reduced, added = loads.sigma_cosine**2 + loads.sigma_sine**2, loads.check.added_variance
+    if added is None:
+        size = np.sqrt(np.mean(np.abs(loads.check.applied[1 : HARMONICS_COMPARED + 1]) ** 2, axis=0))
+        added = (np.array([loads.check.load_noise.get(name, 0.0) for name in loads.components]) * size) ** 2
+    return np.asarray(np.maximum(reduced + added, 0.0))

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.plate import moment_reference_length
+from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.anti_alias import anti_alias_response
-from balance_cli.signals.rotor.harmonics import Harmonics
+from balance_cli.signals.distributions import student_widening
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,10 +29,10 @@ SMALLEST_FACTOR, LARGEST_FACTOR = 0.5, 2.0
 
 
 def check_errors(
-    spectra: Harmonics,
+    record: RotorRecord,
     harmonic_solution: SolvedLoads,
-    components: tuple[str, ...],
     geometry: Geometry,
+    source: ResponseSource,
     load_matrices: ComplexArray | None = None,
 ) -> CheckErrors:
     """Compare complex amplitudes of harmonics 1 to 8 (`load_error` and `interaction` in docs/json.md).
@@ -39,50 +41,70 @@ def check_errors(
     loads that act for each load that the exciters' force cells record, where a model knows them; the error is that
     against the loads that act.
     """
-    H = anti_alias_response(geometry.acquisition, spectra.frequency_hz)
-    columns = spectra.columns(components)
-    was_applied = np.any(spectra.amplitude[:, columns] != 0, axis=0)
-    applied = spectra.amplitude[:, columns]
-    variance = np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, columns]
-    if load_matrices is not None and np.any(load_matrices != np.eye(6)):
-        applied, variance = _applied_loads(spectra, load_matrices, components)
-    applied, variance = applied / H[:, None], variance / np.abs(H[:, None]) ** 2
+    spectra, components = record.spectra, record.components
+    was_applied = np.any(spectra.amplitude[:, spectra.columns(components)] != 0, axis=0)
+    rows = _load_rows(record, geometry, load_matrices)
+    applied = np.einsum("hmi,hi->hm", rows, spectra.amplitude[:, spectra.columns(COMPONENTS)])
     last = min(HARMONICS_COMPARED, len(spectra.frequency_hz) - 1)
     error = _rms(harmonic_solution.loads[:last] - applied[1 : last + 1])
-    noise = _expected_square_error(harmonic_solution, variance[1:])[:last]
+    variance = _difference_variance(record, harmonic_solution, geometry, source, rows[1:])
     size = np.where(
         was_applied, _rms(applied[1 : last + 1]), _largest_force(applied[1 : last + 1], components, geometry)
     )
-    relative_error, noise_floor = error / size, np.sqrt(np.mean(noise, axis=0)) / size
+    relative_error, noise_floor = error / size, np.sqrt(np.mean(variance[:last], axis=0)) / size
+    beyond_reduced = variance - _reduced_variance(harmonic_solution)
     return CheckErrors(
         load_error=_by_component(components, relative_error, was_applied),
         interaction=_by_component(components, relative_error, ~was_applied),
         load_noise=_by_component(components, noise_floor, was_applied),
         interaction_noise=_by_component(components, noise_floor, ~was_applied),
         applied=applied,
+        added_variance=np.concatenate([np.zeros_like(beyond_reduced[:1]), beyond_reduced]),
     )
 
 
-def _applied_loads(
-    spectra: Harmonics, load_matrices: ComplexArray, components: tuple[str, ...]
-) -> tuple[ComplexArray, Array]:
-    """Return the loads (n+1, m) that act, and their variance, from those that the force cells measure."""
-    columns = spectra.columns(COMPONENTS)
-    rows = load_matrices[:, [COMPONENTS.index(name) for name in components]]
-    covariance = spectra.covariance[:, columns][:, :, columns]
-    applied = np.einsum("hmi,hi->hm", rows, spectra.amplitude[:, columns])
-    return applied, np.real(np.einsum("hmi,hij,hmj->hm", rows, covariance, rows.conj()))
+def _load_rows(record: RotorRecord, geometry: Geometry, load_matrices: ComplexArray | None) -> ComplexArray:
+    """Return the applied loads (n+1, m, 6) per recorded load, without the anti-alias filter."""
+    matrices = np.eye(6) if load_matrices is None else load_matrices
+    rows = matrices[..., [COMPONENTS.index(name) for name in record.components], :]
+    H = anti_alias_response(geometry.acquisition, record.spectra.frequency_hz)
+    return np.asarray(rows / H[:, None, None])
+
+
+def _difference_variance(
+    record: RotorRecord,
+    harmonic_solution: SolvedLoads,
+    geometry: Geometry,
+    source: ResponseSource,
+    load_rows: ComplexArray,
+) -> Array:
+    """Return the expected |reduced - applied|^2 (n, m) from the noise of the record.
+
+    Reduced and applied loads are both sums of recorded signals. What these have in common, such as the turn by an
+    error of the azimuth or loads that fluctuate, is in the covariance of the signals, and cancels.
+    """
+    spectra, live, m = record.spectra, record.health.live, len(record.components)
+    G = harmonic_solution.equations.estimator
+    rows = G.shape[2] // 2
+    frequency = spectra.frequency_hz[1:]
+    H = anti_alias_response(geometry.acquisition, frequency)[:, None, None]
+    of_channels = (G[:, :m, :rows] + 1j * G[:, m:, :rows]) @ source.channel_combination(frequency, live).combination / H
+    difference = np.concatenate([of_channels, -load_rows], axis=2)
+    columns = spectra.columns((*live, *COMPONENTS))
+    covariance = spectra.covariance[1:][:, columns][:, :, columns]
+    variance = np.einsum("hmi,hij,hmj->hm", difference, covariance, difference.conj()).real
+    return np.asarray(variance * student_widening(2.0 * spectra.dof[1:])[:, None])
 
 
 def _rms(values: ComplexArray) -> Array:
     return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
 
 
-def _expected_square_error(harmonic_solution: SolvedLoads, applied_variance: Array) -> Array:
-    """Return the expected |reduced - applied|^2 (n, m) from the noise of the channels and of the measured loads."""
+def _reduced_variance(harmonic_solution: SolvedLoads) -> Array:
+    """Return the variance (n, m) of the reduced loads by the noise of the channels."""
     m = harmonic_solution.loads.shape[1]
     variance = np.diagonal(harmonic_solution.noise_covariance, axis1=1, axis2=2)
-    return np.asarray(variance[:, :m] + variance[:, m:] + applied_variance)
+    return np.asarray(variance[:, :m] + variance[:, m:])
 
 
 def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry: Geometry) -> Array:

@@ -48,7 +48,9 @@ class CheckErrors:
     load_error {component applied: relative error}, interaction {component not applied: relative to the largest applied
     force}; load_noise and interaction_noise: the noise floor of each, from the noise of the record. `applied` (n+1, m)
     are the loads as the exciter measured them, without the anti-alias filter. `wrong_channels`: what is wrong with one
-    or two channels, in words, where that explains the errors.
+    or two channels, in words, where that explains the errors. `added_variance` (n+1, m): variance of reduced minus
+    applied loads less that of the reduced ones; negative where both have an error in common. None in artefacts of
+    former versions.
     """
 
     load_error: dict[str, float]
@@ -57,6 +59,7 @@ class CheckErrors:
     interaction_noise: dict[str, float]
     applied: ComplexArray
     wrong_channels: str | None = None
+    added_variance: Array | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)

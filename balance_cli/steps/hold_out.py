@@ -89,7 +89,7 @@ def _check_run_errors(run: Run, model: IdentifiedModel) -> _ModelErrors:
     record = rotor_record(run, geometry, source)
     matrices, set_up = _choose_load_matrices(record, model)
     solution = harmonic_loads(record, geometry, source)
-    loads = check_errors(record.spectra, solution, record.components, geometry, matrices)
+    loads = check_errors(record, solution, geometry, source, matrices)
     frf_error, frf_noise, frf_expected = _harmonic_errors(record, model, source, matrices)
     error = RunErrors(loads.load_error, loads.interaction, frf_error)
     noise = RunErrors(loads.load_noise, loads.interaction_noise, frf_noise)

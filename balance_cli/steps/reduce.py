@@ -164,7 +164,7 @@ def _with_check_errors(
     response: ComplexArray,
 ) -> RunLoads:
     """Return the loads of a check run with their errors, flagged where these are those of another unit or sign."""
-    check = check_errors(record.spectra, solution, loads.components, geometry)
+    check = check_errors(record, solution, geometry, source)
     wrong = describe_wrong_channels(record, geometry, source, response, check.applied)
     return flag_scale_contradiction(replace(loads, check=replace(check, wrong_channels=wrong)))
 

@@ -81,6 +81,7 @@ def _join_checks(parts: Sequence[RunLoads]) -> CheckErrors:
     """Return the errors over all tones: each part weighted by the size to which its own error is relative."""
     checks = [part.check for part in parts if part.check is not None]
     applied = np.concatenate([checks[0].applied[:1], *(check.applied[1:2] for check in checks)])
+    added = [check.added_variance for check in checks if check.added_variance is not None]
     components = parts[0].components
     size = {name: np.abs(applied[1:, i]) for i, name in enumerate(components)}
     largest = np.array([max(float(size[name][k]) for name in check.load_error) for k, check in enumerate(checks)])
@@ -93,6 +94,7 @@ def _join_checks(parts: Sequence[RunLoads]) -> CheckErrors:
             name: _pooled([check.interaction_noise for check in checks], name, largest) for name in other_names
         },
         applied=applied,
+        added_variance=np.concatenate([added[0][:1], *(each[1:2] for each in added)]),
     )
 
 
