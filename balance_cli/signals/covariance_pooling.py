@@ -64,15 +64,17 @@ def _window_starts(count: int, width: int, step: int) -> NDArray[np.int64]:
     return np.clip(np.arange(0, count, step) - width // 2, 0, count - width)
 
 
-def variance_floor(spectra: ComplexArray) -> Array:
-    """Return the least variance (n,) that is assumed for the noise of signals (..., n).
+def variance_floor(spectra: ComplexArray, channels: int) -> Array:
+    """Return the least variance (n,) that is assumed for the noise of signals (..., n), the first of them channels.
 
-    A computed record has no noise, so that without a floor its covariance would have no inverse.
+    A computed record has no noise, so that without a floor its covariance would have no inverse. A signal that is zero
+    has the floor of a weak one: weak beside those of its own unit, for the ratio of volts to newtons is arbitrary.
     """
     power = np.mean(spectra.real**2 + spectra.imag**2, axis=tuple(range(spectra.ndim - 1)))
-    return np.asarray(
-        RELATIVE_NOISE_FLOOR**2 * np.maximum(power, RELATIVE_NOISE_FLOOR * power.max()) + np.finfo(float).tiny, float
-    )
+    is_channel = np.arange(len(power)) < channels
+    strongest = [power.max(initial=0.0, where=kind) for kind in (~is_channel, is_channel)]
+    weak = RELATIVE_NOISE_FLOOR * np.array(strongest)[is_channel.astype(int)]
+    return np.asarray(RELATIVE_NOISE_FLOOR**2 * np.maximum(power, weak) + np.finfo(float).tiny, float)
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,8 @@ def periodic_record(
     c, samples = len(channel_names), samples_per_period(run)
     spectra, number, components = _period_spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
-    start = find_steady_start(spectra)
-    mean, noise = _mean_and_noise(spectra, start.first)
+    start = find_steady_start(spectra, c)
+    mean, noise = _mean_and_noise(spectra, start.first, c)
     total = noise.scaled(1.0 + start.bias)
     noise, left, information = _beside_transient(spectra, start, mean, noise, c)
     variance = total.variance if left is None else total.variance + np.einsum("kss->ks", left).real
@@ -187,14 +187,14 @@ def _period_spectra(
     return spectra, np.arange(begin, end) + 1, components
 
 
-def _mean_and_noise(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, LineCovariance]:
-    """Mean (K, n) over the steady periods of each line, and the covariance of the mean."""
+def _mean_and_noise(spectra: ComplexArray, first: Counts, c: int) -> tuple[ComplexArray, LineCovariance]:
+    """Mean (K, n) over the steady periods of each line, and the covariance of the mean; c of the n are channels."""
     P = len(spectra)
     used = np.arange(P)[:, None] >= first
     m = used.sum(axis=0).astype(float)
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
-    return mean, pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra)).scaled(1.0 / m)
+    return mean, pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra, c)).scaled(1.0 / m)
 
 
 def _beside_transient(
@@ -205,7 +205,7 @@ def _beside_transient(
     """
     if start.steady.all():
         return noise, None, 1.0
-    beside = pool_scatter(*deviations_from_decay(spectra), variance_floor(spectra))
+    beside = pool_scatter(*deviations_from_decay(spectra), variance_floor(spectra, c))
     beside = beside.scaled(1.0 / (len(spectra) - start.first))
     left = transient_covariance(spectra, start)
     information = information_beside_transient(mean[:, :c], beside.variance[:, :c], left[:, :c, :c])

@@ -66,8 +66,8 @@ class _BandStatistic:
     largest_bias: float
 
 
-def find_steady_start(spectra: ComplexArray) -> SteadyStart:
-    """Find the first steady period of each line; spectra (P, K, n) of P >= 2 consecutive periods.
+def find_steady_start(spectra: ComplexArray, channels: int) -> SteadyStart:
+    """Find the first steady period of each line; spectra (P, K, n), channels first, of P >= 2 consecutive periods.
 
     The statistic is the squared difference of consecutive periods, weighted by the noise of the last one: chi-square
     distributed if only noise differs. A band is unsteady up to the last significant difference (`FALSE_ALARM` for the
@@ -77,7 +77,7 @@ def find_steady_start(spectra: ComplexArray) -> SteadyStart:
     P, K, _ = spectra.shape
     if P <= MIN_PERIODS:
         return SteadyStart(np.zeros(K, np.intp), np.zeros(K), np.full(K, False))
-    statistics = _band_statistics(spectra)
+    statistics = _band_statistics(spectra, channels)
     biases = [_bias(item, P) for item in statistics]
     allowed = np.all([np.all(b <= s.largest_bias, axis=2) for b, s in zip(biases, statistics, strict=True)], axis=0)
     is_steady = np.copy(allowed)
@@ -87,12 +87,13 @@ def find_steady_start(spectra: ComplexArray) -> SteadyStart:
     return SteadyStart(first, np.minimum(biases[0][first, lines, 0], 1.0), is_steady[first, lines])
 
 
-def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatistic]:
+def _band_statistics(spectra: ComplexArray, channels: int) -> tuple[_BandStatistic, _BandStatistic]:
     """Return the statistics of all signals together in narrow bands, and of each by itself in wide ones."""
     difference = np.diff(spectra, axis=0)
     K, n = spectra.shape[1:]
     # The last difference alone: a transient in the one before would pass for noise, which then hides it.
-    noise = pooled_covariance(difference[-1:].swapaxes(0, 1), np.ones(K), floor=2.0 * variance_floor(spectra))
+    floor = 2.0 * variance_floor(spectra, channels)
+    noise = pooled_covariance(difference[-1:].swapaxes(0, 1), np.ones(K), floor=floor)
     joint_power = noise.distances(difference.swapaxes(0, 1)).T[:, :, None] / n
     variance = np.diagonal(noise.knots, axis1=1, axis2=2).real[noise.nearest]
     signal_power = (difference.real**2 + difference.imag**2) / variance

@@ -50,6 +50,18 @@ def test_noise_is_measured_within_a_few_percent(records):
     assert np.mean(ratios, axis=0) == pytest.approx(np.ones(6), abs=0.05)
 
 
+def test_the_noise_of_channels_does_not_depend_on_the_unit_of_the_loads(records):
+    """In loads of micronewtons channels had the noise of their rounding beside the largest signal, in whatever unit."""
+    run, factor = RIG.multisine(SEEDS[0]), 2.0**20
+    block = run.read()
+    small = replace(run, source=MemorySource(block.channels, block.loads * factor))
+    lines, plain = periodic_spectrum(small, RIG.names), records[0].spectrum
+    assert lines.channels == pytest.approx(plain.channels, rel=1e-12)
+    assert lines.loads == pytest.approx(plain.loads * factor, rel=1e-12)
+    scale = np.array([1.0] * 5 + [factor])
+    assert lines.covariance / np.outer(scale, scale) == pytest.approx(plain.covariance, rel=1e-9)
+
+
 def test_periods_are_discarded_where_a_mode_still_rings(records):
     for record in records:
         slowest = np.abs(record.spectrum.frequency - 20.3) < 0.3
@@ -200,7 +212,7 @@ def test_distances_are_those_of_the_covariance_at_each_line(lines, n, vectors):
 def test_white_noise_alone_is_steady_from_the_beginning():
     rng = np.random.default_rng(4)
     spectra = rng.normal(size=(6, 500, 8)) + 1j * rng.normal(size=(6, 500, 8))
-    assert np.mean(find_steady_start(spectra).first == 0) > 0.98
+    assert np.mean(find_steady_start(spectra, spectra.shape[2]).first == 0) > 0.98
 
 
 def test_recovery_of_one_channel_is_seen():
@@ -208,7 +220,7 @@ def test_recovery_of_one_channel_is_seen():
     rng = np.random.default_rng(5)
     spectra = rng.normal(size=(7, 500, 8)) + 1j * rng.normal(size=(7, 500, 8))
     spectra[:, :, 3] += 40.0 * np.exp(-4 / 3 * np.arange(7))[:, None]
-    first = find_steady_start(spectra).first
+    first = find_steady_start(spectra, spectra.shape[2]).first
     bias = (40.0 * np.exp(-4 / 3 * first)) / (7 - first) / (1 - np.exp(-4 / 3))
     assert np.median(bias * np.sqrt((7 - first) / 2)) < 0.7
     assert np.mean(first <= 5) == 1.0

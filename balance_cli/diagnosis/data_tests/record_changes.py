@@ -77,7 +77,8 @@ def noise_of_period(periods: ComplexArray) -> tuple[ComplexArray, float]:
     """
     step = np.diff(periods, axis=0)
     counts = np.full(periods.shape[1], float(len(step)))
-    pooled = pooled_covariance(step.swapaxes(0, 1) / np.sqrt(2.0), counts, floor=variance_floor(periods))
+    floor = variance_floor(periods, periods.shape[2])
+    pooled = pooled_covariance(step.swapaxes(0, 1) / np.sqrt(2.0), counts, floor=floor)
     return pooled.at_lines, OVERLAP * pooled.dof
 
 
