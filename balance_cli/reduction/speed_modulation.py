@@ -19,7 +19,7 @@ from balance_cli.campaign.rig.geometry import Acquisition, Geometry
 from balance_cli.reduction.measured_response import highest_frequency, lowest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.anti_alias import anti_alias_response
-from balance_cli.signals.interpolating_spline import PiecewisePolynomial, interpolating_spline
+from balance_cli.signals.interpolating_spline import Spline, spline_through
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.harmonic_spectrum import CarrierEnvelopes, carrier_envelopes
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -41,13 +41,14 @@ SPEED_MEMORY = 6.0
 class ModulationRemoved:
     """Samples of a run without `modulation`, envelopes (n, signals) over time [s] of carriers at `frequency` (n,) [Hz].
 
-    `columns` are the signals in order: places of channels, and behind them those of the loads.
+    `columns` are the signals in order: places of channels, and behind them those of the loads. The polynomials of the
+    envelopes, 1 MB for each second of nine channels, are formed where samples are read.
     """
 
     parent: SampleSource
     rate: float
     frequency: Array
-    modulation: PiecewisePolynomial
+    modulation: Spline
     columns: tuple[int, ...]
 
     def read(self, start: int, stop: int) -> SampleBlock:
@@ -66,8 +67,9 @@ class ModulationRemoved:
         Between two breaks of the envelopes they are products of powers and carriers with coefficients, one matrix
         product for all samples there.
         """
-        index, offset = self.modulation.locate(time)
-        coefficients = self.modulation.coefficients
+        envelopes = self.modulation.between(time[0], time[-1])
+        index, offset = envelopes.locate(time)
+        coefficients = envelopes.coefficients
         carrier = np.exp(2j * np.pi * np.outer(time, self.frequency))
         terms = offset[:, None, None] ** np.arange(len(coefficients))[:, None] * carrier[:, None]
         terms = terms.reshape(len(time), -1)
@@ -120,12 +122,22 @@ def without_speed_modulation(
     response = ChannelResponse(source, tuple(picked.rows), run.rotor_speed, geometry.acquisition)
     orders = range(1, len(spectra.frequency_hz))
     carriers = carrier_envelopes(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
-    modulation = np.stack([_modulation(carriers, n - 1, spectra.amplitude[n], response) for n in orders], axis=1)
-    curve = interpolating_spline(carriers.time, modulation, degree=3)
+    curve = _modulation_curve(carriers, spectra, response)
     known = run.channel_names + COMPONENTS
     columns = tuple(known.index(name) for name in spectra.names)
     source_of_rest = ModulationRemoved(run.source, sample_rate(run), carriers.frequency, curve, columns)
     return replace(run, source=source_of_rest)
+
+
+def _modulation_curve(carriers: CarrierEnvelopes, spectra: Harmonics, response: ChannelResponse) -> Spline:
+    """Return the envelopes (n, signals) of all harmonics, one after the other: together they fill the memory."""
+    count, signals = spectra.amplitude[1:].shape
+    controls, knots, degree = np.empty((len(carriers.time), count, signals), complex), np.empty(0), 3
+    for k in range(count):
+        values = _modulation(carriers, k, spectra.amplitude[k + 1], response)
+        curve = spline_through(carriers.time, values, degree)
+        controls[:, k], knots, degree = curve.controls, curve.knots, curve.degree
+    return Spline(knots, controls, degree)
 
 
 def _modulation(carriers: CarrierEnvelopes, k: int, amplitude: ComplexArray, response: ChannelResponse) -> ComplexArray:

@@ -8,7 +8,7 @@ Source: C. de Boor, A Practical Guide to Splines, 2001, chapters IX, X and XIII.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,9 @@ from scipy.linalg import solve_banded
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Numbers = NDArray[Any]
+
+KEPT = 512
+"""Polynomials of which twice as many are formed at once: so many take no longer than the calls that form a few."""
 
 
 @dataclass(frozen=True)
@@ -69,29 +72,69 @@ class PiecewisePolynomial:
         return index, x - self.breaks[index]
 
 
+@dataclass(frozen=True)
+class Spline:
+    """A spline as a sum of B-splines, a quarter of the numbers of cubic polynomials.
+
+    `knots` (n + degree + 1,), `controls` (n, ...).
+    """
+
+    knots: Array
+    controls: Numbers
+    degree: int
+    _kept: dict[tuple[int, int], PiecewisePolynomial] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @property
+    def breaks(self) -> Array:
+        """Where its polynomials meet, with both ends."""
+        return self.knots[self.degree : len(self.knots) - self.degree]
+
+    def between(self, first: float, last: float) -> PiecewisePolynomial:
+        """Return its polynomials from that at `first` to that at `last`, and some around them, which are kept."""
+        edges = self.breaks
+        low, high = np.clip(np.searchsorted(edges, [first, last], "right") - 1, 0, len(edges) - 2)
+        begin, end = low - low % KEPT, max(low - low % KEPT + 2 * KEPT, high + 1)
+        if (begin, end) not in self._kept:
+            knots, controls = self.knots[begin : end + 1 + 2 * self.degree], self.controls[begin : end + self.degree]
+            self._kept.clear()
+            self._kept[begin, end] = Spline(knots, controls, self.degree).polynomials()
+        return self._kept[begin, end]
+
+    def polynomials(self) -> PiecewisePolynomial:
+        """Return its polynomials."""
+        degree, knots, breaks = self.degree, self.knots, self.breaks
+        controls = self.controls.reshape(len(self.controls), -1)
+        coefficients = np.empty((degree + 1, len(breaks) - 1, controls.shape[1]), controls.dtype)
+        start = np.arange(degree, degree + len(breaks) - 1)
+        for order in range(degree + 1):
+            basis = _basis(breaks[:-1], knots, start, degree - order)
+            near = controls[start[:, None] - degree + np.arange(degree - order + 1)]
+            coefficients[order] = np.einsum("mj,mjs->ms", basis, near) / math.factorial(order)
+            if order < degree:
+                controls = _differentiate(controls, knots, degree, order)
+        shape = (*coefficients.shape[:2], *self.controls.shape[1:])
+        return PiecewisePolynomial(breaks, coefficients.reshape(shape))
+
+
 def interpolating_spline(x: ArrayLike, y: ArrayLike, degree: int) -> PiecewisePolynomial:
-    """Return the spline through the points x (n,), rising, and y (n, ...), real or complex.
+    """Return the polynomials of the spline through the points x (n,), rising, and y (n, ...), real or complex.
 
     `degree` is odd. Fewer than `degree` + 1 points have the polynomial through all of them.
     """
+    return spline_through(x, y, degree).polynomials()
+
+
+def spline_through(x: ArrayLike, y: ArrayLike, degree: int) -> Spline:
+    """Return the same as B-splines."""
     points, values = np.asarray(x, float), np.asarray(y)
     degree = min(degree, len(points) - 1)
     outside = (degree + 1) // 2
     inner = points[outside : len(points) - outside] if len(points) > degree + 1 else points[:0]
     knots = np.concatenate([np.repeat(points[0], degree + 1), inner, np.repeat(points[-1], degree + 1)])
-    flat = values.reshape(len(points), -1)
-    controls = _control_points(points, flat, knots, degree)
-    breaks = knots[degree : len(knots) - degree]
-    kind = np.result_type(flat, float)
-    coefficients = np.empty((degree + 1, len(breaks) - 1, flat.shape[1]), kind)
-    start = np.arange(degree, degree + len(breaks) - 1)
-    for order in range(degree + 1):
-        basis = _basis(breaks[:-1], knots, start, degree - order)
-        near = controls[start[:, None] - degree + np.arange(degree - order + 1)]
-        coefficients[order] = np.einsum("mj,mjs->ms", basis, near) / math.factorial(order)
-        if order < degree:
-            controls = _differentiate(controls, knots, degree, order)
-    return PiecewisePolynomial(breaks, coefficients.reshape(*coefficients.shape[:2], *values.shape[1:]))
+    controls = _control_points(points, values.reshape(len(points), -1), knots, degree)
+    return Spline(knots, controls.reshape(values.shape), degree)
 
 
 def _control_points(x: Array, y: Numbers, knots: Array, degree: int) -> Numbers:

@@ -1,6 +1,7 @@
 """Samples that repeat the one before, or are zeros of a link that dropped out, are bridged like missing ones."""
 
-from dataclasses import replace
+import tracemalloc
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from balance_cli.campaign.recording.channel_health import channel_faults
 from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps
 from balance_cli.campaign.recording.held_samples import held_samples
 from balance_cli.campaign.recording.repeated_block import repeated_block
-from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run, SampleBlock
 from tests.campaign.test_gaps import rotor_run
 
 PLACES = np.array([1003, 2511, 4805, 7707])
@@ -146,3 +147,31 @@ def test_a_signal_that_dwells_at_a_flat_crest_by_chance_holds_nothing():
         samples[crest + 24 : crest + 32] = np.round(flat_topped[crest + 28])
         run = changed(lambda _, samples=samples: samples)
         np.testing.assert_array_equal(held_samples(run)[0], np.arange(crest + 25, crest + 32))
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Samples that are in memory only while they are read: noise, the same again where it is read again."""
+
+    samples: int
+    columns: int
+
+    def read(self, start, stop):
+        stop = self.samples if stop is None else min(stop, self.samples)
+        channels = np.random.default_rng(start).random((stop - start, self.columns))
+        channels[100:110, 0] = channels[100, 0]
+        return SampleBlock(start, channels, None)
+
+
+def test_a_long_record_is_not_kept_in_memory():
+    """The blocks of a record of ten minutes, 2.2 GB, were kept while one of its channels was examined."""
+    run, columns = rotor_run(0), 20
+    source = Recorded(2**20, columns)
+    names = tuple(f"c{i}" for i in range(columns))
+    run = replace(run, channel_names=names, samples=source.samples, source=source)
+    tracemalloc.start()
+    held = held_samples(run)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(held[0]) >= 9
+    assert peak < 0.4 * 8 * source.samples * columns

@@ -8,7 +8,7 @@ from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.flags import NOT_STEADY, UNMODELLED_LINE, UNTESTED
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.speed_modulation import ModulationRemoved
-from balance_cli.signals.interpolating_spline import interpolating_spline
+from balance_cli.signals.interpolating_spline import spline_through
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run
 from tests.support.other_rigs import other_rig
@@ -87,11 +87,11 @@ def test_carriers_with_their_envelopes_are_taken_out_between_and_beyond_breaks(p
     rng, rate, samples = np.random.default_rng(4), 800.0, 500
     breaks = np.arange(-2, samples // per_break - 1) * per_break / rate
     points = rng.standard_normal((len(breaks), 3, 2)) + 1j * rng.standard_normal((len(breaks), 3, 2))
-    envelopes, frequency = interpolating_spline(breaks, points, degree=3), np.array([17.0, 34.0, 51.0])
+    envelopes, frequency = spline_through(breaks, points, degree=3), np.array([17.0, 34.0, 51.0])
     time = np.arange(samples) / rate
     parent = MemorySource(np.zeros((samples, 3)), None)
     removed = ModulationRemoved(parent, rate, frequency, envelopes, (2, 0))
     carriers = np.exp(2j * np.pi * np.outer(time, frequency))
-    expected = -np.real(np.sum(carriers[..., None] * envelopes(time), axis=1))
+    expected = -np.real(np.sum(carriers[..., None] * envelopes.polynomials()(time), axis=1))
     read = np.vstack([removed.read(0, 123).channels, removed.read(123, samples).channels])
     assert np.allclose(read[:, [2, 0]], expected, rtol=1e-12, atol=1e-12) and not read[:, 1].any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from balance_cli.signals.interpolating_spline import interpolating_spline
+from balance_cli.signals.interpolating_spline import interpolating_spline, spline_through
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 6, 7, 8, 300])
@@ -37,3 +37,15 @@ def test_derivative_of_a_constant_is_zero():
     slope = line.derivative()
     assert slope(1.0) == pytest.approx(2.0)
     assert np.all(slope.derivative()(np.array([0.0, 1.0])) == 0.0)
+
+
+@pytest.mark.parametrize("count", [2, 5, 2000])
+@pytest.mark.parametrize(
+    "ends", [(-1.0, -0.5), (0.3, 0.3), (7.0, 21.0), (-1.0, 90.0), (400.0, 1100.0), (500.0, 1900.0), (2500.0, 2600.0)]
+)
+def test_a_part_has_the_polynomials_of_the_whole(count, ends):
+    rng = np.random.default_rng(3)
+    x = np.cumsum(rng.uniform(0.5, 1.5, count))
+    spline = spline_through(x, rng.standard_normal((count, 2)) + 0j, 3)
+    at = np.linspace(*ends, 50)
+    np.testing.assert_array_equal(spline.between(*ends)(at), spline.polynomials()(at))

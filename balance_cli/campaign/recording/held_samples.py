@@ -29,7 +29,7 @@ from scipy.special import erfc
 from balance_cli.campaign.recording.gap_interpolation import ORDER, SAMPLES_PER_COEFFICIENT, prediction_error_filter
 from balance_cli.campaign.recording.run import Array, Run
 
-Integers = NDArray[np.int64]
+Integers = NDArray[np.signedinteger]
 
 LEAST_HELD = 5
 """Samples of the shortest segment that the values around it can prove, with NEIGHBORHOOD and CHANCE as they are."""
@@ -64,6 +64,8 @@ SAMPLED = 1024
 """Sizes that tell where the smallest ones end."""
 FINE_STEPS = 16.0
 """Steps of the converter within the scatter of a channel from which its values are too many for zero to be usual."""
+AT_ONCE = 2**16
+"""Samples whose steps are formed at once, half a megabyte: ten minutes of a channel at 50 kHz take 250."""
 ROTOR_KINDS = ("check", "wind", "zero")
 """Kinds of run throughout which a channel moves; sweeps may begin, pause and end at rest."""
 
@@ -77,10 +79,10 @@ def held_samples(run: Run) -> dict[int, Integers]:
         return {}
     held = {}
     for column in np.flatnonzero(_screen(run)).tolist():
-        x = np.concatenate([block.channels[:, column] for block in run.blocks()])
+        x = np.concatenate([block.channels[:, column].copy() for block in run.blocks()])  # views would keep the blocks
         parts = [_held(x)]
         if run.kind in ROTOR_KINDS:
-            peak = float(np.abs(x[np.isfinite(x)]).max(initial=0.0))
+            peak = _peak(x)
             parts += [_excess_zeros(x, peak), _excess_zeros(_differences(x), peak) + 1]
         index = np.unique(np.concatenate(parts))
         if len(index):
@@ -109,20 +111,34 @@ def _screen(run: Run) -> NDArray[np.bool_]:
 
 def _held(x: Array) -> Integers:
     """Return the samples of a channel (n,) after the first of each segment that is held, or all of one of zeros."""
-    starts = np.concatenate([[0], np.flatnonzero(x[1:] != x[:-1]) + 1])
-    lengths = np.diff(starts, append=len(x))
+    starts, lengths = _segments(x)
     if _has_lower_rate(lengths):
-        return np.setdiff1d(np.arange(starts[1], starts[-1]), starts)
+        repeats = np.ones(len(x), bool)
+        repeats[starts] = False
+        return np.flatnonzero(repeats[: starts[-1]])[lengths[0] - 1 :]
     candidates = np.flatnonzero(lengths >= LEAST_HELD)
     candidates = candidates[(candidates > 0) & _is_inside(x, starts[candidates])]
     if not candidates.size:
         return np.empty(0, np.int64)
     share = _share_of_repeats(starts, lengths, candidates)
     by_chance = len(x) * share ** (lengths[candidates] - 1.0)
-    held = candidates[(by_chance < CHANCE) & (_edge_steps(x, starts, lengths, candidates) > _least_step(x, starts))]
+    held = candidates[(by_chance < CHANCE) & (_edge_steps(x, starts, lengths, candidates) > _least_step(x))]
     if len(held) <= MOST_DWELLS:
-        held = held[~_dwells(x, starts[held], lengths[held], _converter_step(x, starts))]
+        held = held[~_dwells(x, starts[held], lengths[held], _converter_step(x))]
     return _held_part(x, starts[held], lengths[held])
+
+
+def _segments(x: Array) -> tuple[Integers, Integers]:
+    """Return first samples and lengths of the segments of identical samples; most of a long record have one sample."""
+    ends = np.flatnonzero(x[1:] != x[:-1])
+    starts: Integers = np.zeros(len(ends) + 1, np.int32 if len(x) < 2**30 else np.int64)
+    starts[1:] = ends
+    del ends
+    starts[1:] += 1
+    lengths = np.empty_like(starts)
+    np.subtract(starts[1:], starts[:-1], out=lengths[:-1])
+    lengths[-1] = len(x) - starts[-1]
+    return starts, lengths
 
 
 def _held_part(x: Array, starts: Integers, lengths: Integers) -> Integers:
@@ -149,7 +165,8 @@ def _is_inside(x: Array, index: Integers) -> NDArray[np.bool_]:
 
 def _share_of_repeats(starts: Integers, lengths: Integers, at: Integers) -> Array:
     """Return the share of segments of two samples or more around some of them, which do not count themselves."""
-    counted = np.concatenate([[0], np.cumsum(lengths >= 2)])
+    counted = np.zeros(len(lengths) + 1, lengths.dtype)
+    np.cumsum(lengths >= 2, out=counted[1:])
     low = np.searchsorted(starts, starts[at] - NEIGHBORHOOD)
     high = np.searchsorted(starts, starts[at] + lengths[at] + NEIGHBORHOOD)
     # One is added to both: a share of none among some hundred is not known to be less than one of them.
@@ -200,21 +217,28 @@ def _dwell_probability(x: Array, known: NDArray[np.bool_], start: int, length: i
     return float(np.prod(repeats) * np.prod(erfc(np.abs(z[length - 1 :]) / np.sqrt(2))))
 
 
-def _least_step(x: Array, starts: Integers) -> float:
+def _least_step(x: Array) -> float:
     """Return the step from which the edge of a segment is not that of a slow signal."""
-    finite = np.abs(x[np.isfinite(x)])
-    return max(STEPS_OF_CONVERTER * _converter_step(x, starts), ROUNDING * float(finite.max(initial=0.0)))
+    return max(STEPS_OF_CONVERTER * _converter_step(x), ROUNDING * _peak(x))
 
 
-def _converter_step(x: Array, starts: Integers) -> float:
+def _converter_step(x: Array) -> float:
     """Return the smallest difference of neighboring samples that differ."""
-    steps = np.abs(x[starts[1:]] - x[starts[1:] - 1])
-    return float(np.nanmin(steps, initial=np.inf))
+    steps = (np.abs(np.diff(x[low : low + AT_ONCE + 1])) for low in range(0, len(x) - 1, AT_ONCE))
+    return min((float(step.min(where=step > 0.0, initial=np.inf)) for step in steps), default=np.inf)
+
+
+def _peak(x: Array) -> float:
+    """Return the largest magnitude of the samples that are finite."""
+    known = np.isfinite(x)
+    return float(max(x.max(where=known, initial=0.0), -x.min(where=known, initial=0.0)))
 
 
 def _differences(x: Array) -> Array:
     """Return the differences (n - 1,) of neighboring samples, NaN at the extremes of the channel."""
-    return np.where(_is_inside(x, np.arange(1, len(x))), np.diff(x), np.nan)
+    differences, value = np.diff(x), x[1:]
+    differences[(value != 0.0) & ~((value > np.nanmin(x)) & (value < np.nanmax(x)))] = np.nan
+    return np.asarray(differences)
 
 
 def _excess_zeros(values: Array, peak: float) -> Integers:
@@ -229,8 +253,8 @@ def _excess_zeros(values: Array, peak: float) -> Integers:
         return none
     # What stands before the first and after the last other value is a channel that is not on yet, or no more.
     zeros = zeros[(zeros > np.argmin(is_zero)) & (zeros < len(values) - 1 - np.argmin(is_zero[::-1]))]
-    sizes = np.abs(values[~is_zero])
-    sizes = sizes[np.isfinite(sizes)]
+    sizes = values[np.isfinite(values) & ~is_zero]
+    np.abs(sizes, out=sizes)
     if len(sizes) < FEWEST_NEIGHBORS:
         return none
     unit = 4.0 * float(np.finfo(np.float32).eps) * peak
