@@ -160,7 +160,7 @@ def transverse_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
 
 
 def structural_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
-    """Every cell dissipates a fixed share in each cycle."""
+    """Every cell, and the shaft of a torque meter, dissipates a fixed share in each cycle."""
     loss = rng.uniform(0.005, 0.03)
     mechanics = replace(truth.mechanics, loss_factor=loss)
     return Hidden("structural-damping@all", {"loss_factor": loss}, replace(truth, mechanics=mechanics))

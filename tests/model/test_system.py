@@ -7,11 +7,13 @@ import pytest
 from scipy.linalg import eigh
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.io.errors import UserError
 from balance_cli.model import pole_response
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant, variables
 from balance_cli.model.modes import eigenvalues, modes, overdamped_decay_rates
+from balance_cli.model.placed_effects import place_effect
 from balance_cli.model.plate import plate_matrices
 from balance_cli.model.pole_response import forces_from_poles, solved_forces
 from balance_cli.model.response_jacobian import output_jacobian
@@ -214,6 +216,16 @@ def test_response_with_structural_damping(causality):
     gain = T[0] / 1.0
     expected = gain * spring / (spring - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
     np.testing.assert_allclose(T[1:], expected, rtol=1e-12)
+
+
+def test_structural_damping_of_the_shaft_is_that_of_the_torque_alone():
+    rig = rotor_balance()
+    effect = DeclaredEffect(name="structural-damping", where=("torque",), parameters={"loss_factor": LOSS})
+    system = balance_model(rig.model_copy(update={"effects": (effect,)})).system()
+    row = np.array(system.equations.springs) == "torque"
+    np.testing.assert_allclose(system.readings_loss.value, LOSS * row[:, None] * system.readings.value, rtol=1e-12)
+    with pytest.raises(UserError, match="no place `torque`"):
+        place_effect("structural-damping", ("torque",), one_degree_of_freedom())
 
 
 @pytest.mark.parametrize("time", [10.0, 0.01])

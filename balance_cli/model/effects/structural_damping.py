@@ -20,7 +20,13 @@ from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, cells_at, each_cell_or_all
 from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
-from balance_cli.model.mechanics.equations import Equations
+from balance_cli.model.mechanics.equations import TORQUE, Equations
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    """All cells together, then one place per cell and per torque meter."""
+    meters = (meter.label(TORQUE) for meter in geometry.shaft_meters)
+    return (*each_cell_or_all(geometry), *((name,) for name in meters if name not in geometry.cell_names))
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -42,6 +48,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     affected = np.zeros(len(equations.springs))
+    affected[[i for i, name in enumerate(equations.springs) if name in where]] = 1.0
     affected[cells_at(geometry, where)] = 1.0
     loss = values["loss_factor"] * affected
     increase = (2.0 / np.pi) * values["causality"] * loss
@@ -62,8 +69,8 @@ EFFECT = Effect(
     signature="Damping ratios that no single damping matrix explains, and a phase between two cells under one load "
     "that does not vanish at low frequency.",
     separated_by="The damping at low frequency: a viscous force vanishes there, this one does not.",
-    place="a cell, or `all`",
-    places=each_cell_or_all,
+    place="a cell, `all` of them, or `torque`, the shaft of the torque meter",
+    places=_places,
     parameters=_parameters,
     apply=_apply,
     search=SearchHints(starts=_starts),
