@@ -52,6 +52,8 @@ LEAST_LINE_SIGNAL_TO_NOISE = 10.0
 """Amplitude of a load over its noise, from which a line is used: the bias of a ratio Y / U, exp(-100), is then nil."""
 LEAST_SHARE_OF_STRONGEST = 0.01
 """Amplitude of a load over that of its strongest line; less is a side effect of the excitation of other lines."""
+ROUNDING = 16 * np.finfo(float).eps
+"""Amplitude of a line over the largest sample, up to which it may be the rounding of the transform of a constant."""
 LEAST_SHARE_OF_LINES = 0.1
 """Share of the lines from which a load that is not declared as excited is nevertheless an input."""
 NOISE_LINES = 40
@@ -178,7 +180,8 @@ def _period_spectra(
     signals = [*range(c), *(c + column for column in load_columns(components))]
     load_size = np.abs(amplitudes[periods // 2 :, signals[c:]].mean(axis=0))
     largest = load_size.max(axis=1, initial=0.0)[:, None]
-    strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * largest, axis=0))
+    least = np.maximum(LEAST_SHARE_OF_STRONGEST * largest, ROUNDING * largest_loads.T[load_columns(components)])
+    strong = np.flatnonzero(np.any(load_size > least, axis=0))
     if not strong.size:
         fault = f"no load varies within a period, which is {samples} samples"
         raise run_error(run, fault, "Correct `sample_rate` and `period`", "loads")

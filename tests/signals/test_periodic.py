@@ -116,6 +116,14 @@ def test_wrong_period_is_refused():
         periodic_record(replace(rig.random(seconds=12.0), period=4.0), rig.names)
 
 
+def test_a_constant_load_is_refused():
+    """Its lines are the rounding of the transform, which passed for a load without noise."""
+    run = RIG.multisine(periods=4)
+    constant = MemorySource(run.read().channels, np.full((run.samples, 6), 3.0))
+    with pytest.raises(UserError, match="no load varies within a period"):
+        periodic_spectrum(replace(run, source=constant), RIG.names)
+
+
 def test_what_the_user_must_hear():
     run = RIG.multisine(periods=3)
     with pytest.raises(UserError, match="no `period`"):
