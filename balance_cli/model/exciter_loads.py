@@ -45,13 +45,19 @@ def attach_exciters(system: System, attached: Mask) -> System:
     A + F C D F' in place of A: its response to e is that of `true_load_matrices`, and its modes are those of a run.
     """
     equations = system.equations
-    resistance = (equations.exciter_mass, equations.exciter_stiffness)
-    if not any(np.any(part.value) or np.any(part.derivative) for part in resistance):
+    if not _may_resist_motion(equations):
         return system
+    resistance = (equations.exciter_mass, equations.exciter_stiffness)
     driven = system.inputs @ equations.exciter_cross_axis
     mass, stiffness = ((driven * (attached.astype(float)[None] @ part)) @ equations.inputs.T for part in resistance)
     pencil = replace(system.pencil, mass=system.pencil.mass + mass, stiffness=system.pencil.stiffness + stiffness)
     return replace(system, pencil=pencil)
+
+
+def _may_resist_motion(equations: Equations) -> bool:
+    """Whether exciters resist the motion, or a parameter would make them."""
+    resistance = (equations.exciter_mass, equations.exciter_stiffness)
+    return any(bool(np.any(part.value) or np.any(part.derivative)) for part in resistance)
 
 
 def true_load_matrices(
@@ -189,7 +195,7 @@ def _beyond_cell_derivatives(
         return None
     recorded = _cell_factor(equations, solution.frequency[index]) * loads
     change = _cell_derivatives(equations, solution.frequency[index], loads, own)
-    if not any(np.any(part.value) or np.any(part.derivative) for part in resistance):
+    if not _may_resist_motion(equations):
         return np.asarray(change)
     inverse = _inverse_reaction(system, solution, index, attached)
     beyond = np.matmul(inverse, recorded[:, :, None])[:, :, 0]
