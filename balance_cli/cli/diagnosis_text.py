@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
 from balance_cli.diagnosis.result import Diagnosis
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.diagnosis.significance import DATA_TEST_LEVEL
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.io.percent import percent_text
@@ -123,7 +124,7 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
     evidence = effect.evidence
     kind = ", empirical: describes the data without explaining them" if evidence.empirical else ""
     count = f"{evidence.parameters} parameter{'' if evidence.parameters == 1 else 's'}"
-    rise = f"without it chi2 rises by {evidence.gain:.4g}"
+    rise = f"without it chi2 rises by {_gain_text(evidence.gain)}"
     yield f"{effect.label}{kind}: {rise} ({count}, p {_p_value_text(evidence.p_value)})"
     for item in effect.parameters:
         interval = "" if item.interval is None else "   95 %: {:.4g} to {:.4g}".format(*item.interval)
@@ -139,6 +140,11 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
         yield f"   cannot be distinguished from {', '.join(effect.indistinguishable_from)}"
         if effect.separated_by:
             yield f"   measurement that would separate them: {effect.separated_by}"
+
+
+def _gain_text(gain: float) -> str:
+    """A gain of chi-square; Wald's statistic of a strong effect is right to an order of magnitude."""
+    return f"about {gain:.1g}" if gain >= DEFAULT_SETTINGS.selection.strong_gain else f"{gain:.4g}"
 
 
 def _shown_by_data_text(diagnosis: Diagnosis) -> Iterator[str]:

@@ -192,7 +192,7 @@ def describe_added_effects(
                 indistinguishable_from=others,
                 separated_by=remedy,
                 choice=described.choice,
-                worth=effect_worth(update.fit, effect, batches),
+                worth=effect_worth(update.fit, effect, batches, settings),
                 is_doubtful=effect.label in doubted or None,
             )
         )

@@ -1,8 +1,10 @@
 """Worth of an effect: what forgetting it does to the harmonic hub loads at the rotor speed, over their sigma.
 
-A model without the effect has the response T0 instead of T, its other parameters being fitted to the same data: near
-the minimum, with information I (f: other parameters, e: those of the effect), d_f = -I_ff^-1 I_fe d_e. Channels that
-read T u for loads u are then reduced to G0 T u with G0 = (T0* C^-1 T0)^-1 T0* C^-1, and
+A model without the effect has the response T0 instead of T, its other parameters being fitted to the same data. Of an
+effect that takes little off chi-square they follow to first order, with information I (f: other parameters, e: those of
+the effect): d_f = -I_ff^-1 I_fe d_e. One that takes off more is forgotten in a fit of some of the lines, weighted with
+the error that is then left (`search.refit`), and T is fitted to the same lines with the same weights, so that their
+noise is in both. Channels that read T u for loads u are reduced to G0 T u with G0 = (T0* C^-1 T0)^-1 T0* C^-1, and
 
     worth_i = max over harmonics and loads of |(G0 T u - u)_i| / sigma_i
 
@@ -20,11 +22,19 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.search.candidates import parameters_of_interest
-from balance_cli.diagnosis.selection.fit import Fit
-from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, WorthSettings
+from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.search.refit import fit_until_stable, take_steps
+from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.selection.effect_selection import without_effect
+from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic
+from balance_cli.diagnosis.selection.fit import Fit, select_every_nth_line
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings, WorthSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.levenberg_marquardt import limit_to_bounds
+from balance_cli.estimation.maximum_likelihood import penalized_chi2
+from balance_cli.estimation.model_error import add_model_error
+from balance_cli.model.balance import Estimate
 from balance_cli.model.placed_effects import PlacedEffect
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
@@ -46,7 +56,7 @@ class _Harmonics:
 
 
 def effect_worth(
-    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: WorthSettings = DEFAULT_SETTINGS.worth
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: SearchSettings = DEFAULT_SETTINGS
 ) -> dict[str, float] | None:
     """Return the worth of an effect of a fit by load component.
 
@@ -56,14 +66,37 @@ def effect_worth(
     """
     if effect.effect.is_zero_reading and not fit.system().equations.has_nonlinear_terms:
         return dict.fromkeys(_swept_components(batches), 0.0)
-    harmonics = _harmonics(fit, batches, settings)
+    harmonics = _harmonics(fit, batches, settings.worth)
     if harmonics is None or effect.effect.needs_mean:
         return None
     try:
-        lacking = fit.model.system(theta_without(fit, effect))
-        return _worth(fit, lacking, harmonics)
+        return _worth(fit, *compared_systems(fit, effect, batches, settings), harmonics)
     except np.linalg.LinAlgError:
         return None
+
+
+def compared_systems(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: SearchSettings
+) -> tuple[System, System]:
+    """Return the systems with and without the effect, which do not differ by the noise of the lines they are fitted to.
+
+    The other parameters are fitted anew where the effect takes much off chi-square and time is left.
+    """
+    gain = effect_wald_statistic(fit, effect)[0]
+    if gain < settings.selection.strong_gain or settings.fit.is_over:
+        return fit.system(), fit.model.system(theta_without(fit, effect))
+    some = select_every_nth_line(batches, settings.fit.target_lines)
+    lacking = fit_until_stable(_best_start(fit, effect, some), SearchLines(some, some), settings.fit)
+    weighted = add_model_error(some, lacking.shares)
+    same = take_steps(fit, weighted, settings.fit.search_steps, settings.fit)
+    return fit.model.system(same.theta), lacking.system()
+
+
+def _best_start(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch]) -> Estimate:
+    """The model without the effect, its other parameters as they are or to first order, whichever fits better."""
+    lacking = extend_model(fit, without_effect(fit.geometry, effect))
+    shifted = extend_model(fit.model.at(theta_without(fit, effect)), lacking.geometry)
+    return min(lacking, shifted, key=lambda start: penalized_chi2(start, batches))
 
 
 def theta_without(fit: Fit, effect: PlacedEffect) -> Array:
@@ -119,13 +152,12 @@ def _channel_variance(sweeps: Sequence[Batch], frequency: float) -> Array:
     return np.where(precision > 0, 1.0 / np.where(precision > 0, precision, 1.0), np.inf)
 
 
-def _worth(fit: Fit, lacking: System, harmonics: _Harmonics) -> dict[str, float]:
+def _worth(fit: Fit, whole: System, lacking: System, harmonics: _Harmonics) -> dict[str, float]:
     system, swept = fit.system(), harmonics.components
     solution = solve(system, harmonics.frequency)
-    T = response(system, solution)[:, :, swept]
-    T0 = response(lacking, solve(lacking, harmonics.frequency))[:, :, swept]
+    T, T0 = (response(item, solve(item, harmonics.frequency))[:, :, swept] for item in (whole, lacking))
     weight = 1.0 / harmonics.variance
-    G, noise = _weighted_inverse(T, weight)
+    G, noise = _weighted_inverse(response(system, solution)[:, :, swept], weight)
     reduced = _weighted_inverse(T0, weight)[0] @ T
     change = np.abs(reduced - np.eye(len(swept))) * harmonics.levels
     variance = noise[:, :, None] + _parameter_variance(fit, system, solution, G, harmonics)

@@ -14,6 +14,7 @@ from balance_cli.diagnosis.result import (
     ModelFreeTest,
     Trial,
 )
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.report.blocks import BulletList, PageBlock, Paragraph, Row, Table, TableCell, plain_row
 from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
@@ -79,7 +80,10 @@ def _without_text(diagnosis: Diagnosis, effect: FoundEffect) -> str:
     if value != value:
         return ""
     before = format_significant(diagnosis.chi2_per_dof_after)
-    return f" Without it chi2/dof would be {format_significant(value)} in place of {before}."
+    # Of a strong effect the gain is Wald's statistic, which is right to an order of magnitude.
+    strong = effect.evidence.gain >= DEFAULT_SETTINGS.selection.strong_gain
+    without = f"about {format_significant(value, 1)}" if strong else format_significant(value)
+    return f" Without it chi2/dof would be {without} in place of {before}."
 
 
 def ruled_out_items(diagnosis: Diagnosis) -> Iterator[str]:

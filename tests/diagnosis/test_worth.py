@@ -10,7 +10,7 @@ from balance_cli.diagnosis.conclusions import describe_offsets
 from balance_cli.diagnosis.selection.effect_selection import refit_without_effect
 from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
-from balance_cli.diagnosis.worth import effect_worth, theta_without
+from balance_cli.diagnosis.worth import compared_systems, effect_worth, theta_without
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
@@ -24,35 +24,60 @@ from tests.support.rigs import rotor_balance
 
 RIG = rotor_balance()
 LATE = DeclaredEffect(name="time-delay", where=("x.piezo",), parameters={"delay": 2e-6})
+HOSE = DeclaredEffect(
+    name="parallel-stiffness",
+    parameters={"x": 0.2, "y": 0.1, "z": 0.3, "stiffness_x": 1.5e5, "stiffness_y": 1e5, "stiffness_z": 2e5},
+)
 OFFSET = DeclaredEffect(name="channel-offset", where=("x.strain",), parameters={"offset": 0.01})
 
 
 @pytest.fixture(scope="module")
 def fitted():
     """A campaign with a channel that is late and one with an offset, and the fit of both effects."""
+    return fit_of_campaign(LATE, OFFSET)
+
+
+def fit_of_campaign(*hidden):
+    """The fit of a campaign with effects, its batches, and the effects by their names."""
     sweeps = (
         SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=6)
         for name, level in HIGH_SWEEP_LEVELS.items()
     )
-    rig = apply_effects(true_rig(RIG), (LATE, OFFSET))
+    rig = apply_effects(true_rig(RIG), hidden)
     runs = simulate_campaign(rig, CampaignPlan(runs=(*static_plans(), *sweeps)), seed=3).runs
     spectra = measured_spectra(runs, RIG, means=True)
     batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
-    model = balance_model(RIG.model_copy(update={"effects": (LATE, OFFSET)}))
+    model = balance_model(RIG.model_copy(update={"effects": hidden}))
     fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
     return fit, batches, {effect.effect.name: effect for effect in declared_effects(model.geometry)}
 
 
-def test_the_model_without_an_effect_is_that_of_a_refit(fitted):
-    fit, batches, effects = fitted
-    frequency = np.array([17.5, 35.0, 70.0])
-    refit = refit_without_effect(fit, effects["time-delay"], batches, SETTINGS.fit)
-    shifted = fit.model.system(theta_without(fit, effects["time-delay"]))
-    with_effect, one, other = (
-        response(system, solve(system, frequency))
-        for system in (fit.model.system(fit.theta), shifted, refit.model.system(refit.theta))
-    )
-    assert np.linalg.norm(one - other) < 0.1 * np.linalg.norm(with_effect - other)
+def changes(hidden, estimates):
+    """How far the responses of models without the first effect are from that of a refit, over what the effect does."""
+    fit, batches, effects = fit_of_campaign(*hidden)
+    effect = effects[hidden[0].name]
+    refit = refit_without_effect(fit, effect, batches, SETTINGS.fit).system()
+    systems = [fit.system(), refit, *(estimate(fit, effect, batches) for estimate in estimates)]
+    whole, right, *others = [response(system, solve(system, np.array([17.5, 35.0, 70.0]))) for system in systems]
+    return [np.linalg.norm(other - right) / np.linalg.norm(whole - right) for other in others]
+
+
+def without_effect(fit, effect, batches):
+    return compared_systems(fit, effect, batches, SETTINGS)[1]
+
+
+def to_first_order(fit, effect, batches):
+    return fit.model.system(theta_without(fit, effect))
+
+
+def test_the_model_without_a_small_effect_is_that_of_a_refit():
+    assert changes((LATE, OFFSET), [without_effect])[0] < 0.1
+
+
+def test_the_model_without_a_large_effect_is_near_that_of_a_refit():
+    """It has other weights. To first order the model would be four times as far off as what the effect does."""
+    near, far = changes((HOSE,), [without_effect, to_first_order])
+    assert near < 0.5 < 2.0 < far
 
 
 def test_what_is_late_moves_the_loads_that_its_cell_carries(fitted):

@@ -66,13 +66,20 @@ def approach_on_some_lines(start: Estimate, batches: Sequence[Batch], settings: 
 
     It is the start itself where there are not many lines.
     """
-    stride = sum(len(batch.lines.index) for batch in batches) // settings.coarse_lines
-    if stride < 2:
+    some = select_every_nth_line(batches, settings.coarse_lines)
+    if all(map(operator.is_, some, batches)):
         return start
-    some = [select_lines(batch, _every_nth_line(batch, stride)) for batch in batches]
     steps, tolerance = settings.steps_before_valley, settings.min_step_gain
     minimum = fit_maximum_likelihood(start.model, some, start.theta, steps, tolerance, deadline=settings.deadline)
     return start.model.at(minimum.theta)
+
+
+def select_every_nth_line(batches: Sequence[Batch], count: int) -> tuple[Batch, ...]:
+    """Return about `count` lines, spread over the batches, or all where there are fewer than twice as many."""
+    stride = sum(len(batch.lines.index) for batch in batches) // count
+    if stride < 2:
+        return tuple(batches)
+    return tuple(select_lines(batch, _every_nth_line(batch, stride)) for batch in batches)
 
 
 def _every_nth_line(batch: Batch, stride: int) -> NDArray[np.bool_]:
