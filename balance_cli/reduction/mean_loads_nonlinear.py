@@ -33,6 +33,7 @@ from balance_cli.reduction.mean_loads import (
     undetermined_loads_error,
 )
 from balance_cli.reduction.untested_loads import sensors_of_channels, untested_means
+from balance_cli.reduction.vibration_shift import SHIFT_ERROR, VibrationShift, vibration_shift
 from balance_cli.reduction.weighted_least_squares import LoadEquations
 from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -68,8 +69,12 @@ def nonlinear_mean_loads(
     model: CalibrationModel,
     health: ChannelHealth,
     zero: ZeroRecord | None,
+    deviations: Array | None = None,
 ) -> MeanLoads:
     """Compute the mean loads of one run, relative to the unloaded rig, by iteration with `model`.
+
+    `deviations` (m, c): readings of the model's channels about their means, from which follows what vibration adds to
+    these (`reduction.vibration_shift`).
 
     The unloaded rig is that of the zero record or, without one, the mean of the zeros of the calibration. Where the
     calibration determined the weight of the metric part, the iteration includes that of the level rig. Where all
@@ -90,10 +95,19 @@ def nonlinear_mean_loads(
         raise undetermined_loads_error(health, spectra.run)
     left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
     direct = None if all_trims is None or len(rows) < len(model.channel_names) else all_trims.non_iterative
+    usable = _UsableChannels(model, rows, spectra.run, left_out)
+
+    def solve(change: Array) -> Array:
+        return _solve_loads(usable, change) if direct is None else direct.loads(change)
+
+    loads, oscillating = solve(reading.change), None
+    if deviations is not None:
+        oscillating = vibration_shift(model, rows, loads[0], deviations)
+        reading = _without_shift(reading, oscillating)
+        loads = solve(reading.change)
+    result = _describe_loads(calibration, model, reading, loads, (direct, zero), oscillating)
     if direct is not None:
-        return _describe_loads(calibration, model, reading, direct.loads(reading.change), (direct, zero))
-    loads = _solve_loads(_UsableChannels(model, rows, spectra.run, left_out), reading.change)
-    result = _describe_loads(calibration, model, reading, loads, (None, zero))
+        return result
     if all_trims is None or all_trims.non_iterative is None:
         return result
     absent = [name for i, name in enumerate(model.channel_names) if i not in reading.rows]
@@ -107,8 +121,12 @@ def _describe_loads(
     reading: MeanReading,
     loads: Array,
     origin: tuple[NonIterativeModel | None, ZeroRecord | None],
+    oscillating: VibrationShift | None,
 ) -> MeanLoads:
-    """Mean loads (1, k) with their errors and flags; `origin`: the other model where it gave them, and the zero."""
+    """Mean loads (1, k) with their errors and flags; `origin`: the other model where it gave them, and the zero.
+
+    Products that were not tested are as uncertain as those of the `oscillating` loads.
+    """
     all_trims, (direct, zero) = calibration.all_trims, origin
     assert all_trims is not None
     rows = np.array(reading.rows, dtype=np.intp)
@@ -120,9 +138,10 @@ def _describe_loads(
     if direct is not None:
         tested = _non_iterative_variance(direct, calibration, reading)
     variance, untested = tested, all_trims.untested_products
+    reached = loads if oscillating is None else oscillating.loads[None]
     if untested is not None:
-        total_covariance = total_covariance + untested.reading_covariance(loads, rows)[0]
-        variance = tested + np.diag(untested.load_covariance(model, loads, rows)[0])
+        total_covariance = total_covariance + untested.reading_covariance(reached, rows)[0]
+        variance = tested + np.diag(untested.load_covariance(model, reached, rows)[0])
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     outside = untested_components(model.components, variance, tested)
     sigma = np.sqrt(variance * (redundancy if redundancy > limit else 1.0))
@@ -139,9 +158,16 @@ def _describe_loads(
         redundancy_limit=limit,
         condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
         method=iteration_name(all_trims) if direct is None else NON_ITERATIVE,
-        note="" if untested is None or not outside else describe_untested(untested, loads[0], outside),
+        note="" if untested is None or not outside else describe_untested(untested, reached[0], outside),
     )
     return flag_extrapolated(mean_loads, (*model.extrapolated_components(loads[0]), *outside))
+
+
+def _without_shift(reading: MeanReading, oscillating: VibrationShift) -> MeanReading:
+    """The mean readings without what vibration adds to them, and with its error."""
+    shift = oscillating.readings
+    covariance = reading.covariance + SHIFT_ERROR**2 * np.outer(shift, shift)
+    return replace(reading, change=reading.change - shift, covariance=covariance)
 
 
 def _non_iterative_variance(direct: NonIterativeModel, calibration: Calibration, reading: MeanReading) -> Array:

@@ -38,6 +38,7 @@ from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
 from balance_cli.reduction.series_doubt import add_series_doubt
 from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
+from balance_cli.reduction.vibration_shift import read_deviations
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import Harmonics
 
@@ -195,10 +196,13 @@ def _flag_implausible(loads: RunLoads, static: TrimCalibration) -> RunLoads:
 def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:
     """Return the mean loads by the calibration model through all trims if nonlinear, else by the nearest trim."""
     all_trims, health = calibration.all_trims, record.health
+    deviations: Array | None = None
+    if all_trims is not None and all_trims.loads_model.is_nonlinear:
+        deviations = read_deviations(record, all_trims.loads_model.channel_names)
 
     def solve(spectra: Harmonics, reference: ZeroRecord | None) -> MeanLoads:
         if all_trims is not None and _computes_means(all_trims, len(calibration.trims)):
-            return nonlinear_mean_loads(spectra, calibration, all_trims.loads_model, health, reference)
+            return nonlinear_mean_loads(spectra, calibration, all_trims.loads_model, health, reference, deviations)
         return linear_mean_loads(spectra, calibration, health, reference)
 
     gravity = stated_gravity(record.run.conditions)
