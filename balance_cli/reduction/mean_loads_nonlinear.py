@@ -84,35 +84,45 @@ def nonlinear_mean_loads(
     proved.
     """
     all_trims = calibration.all_trims
+    reading = _mean_reading(spectra, calibration, model, health, zero)
+    rows = np.array(reading.rows, dtype=np.intp)
+    if not _loads_determined(model, rows):
+        raise undetermined_loads_error(health, spectra.run)
+    left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
+    usable = _UsableChannels(model, rows, spectra.run, left_out)
+    direct = None if all_trims is None or len(rows) < len(model.channel_names) else all_trims.non_iterative
+
+    def solve(change: Array) -> Array:
+        return _solve_loads(usable, change) if direct is None else direct.loads(change)
+
+    reached = loads = solve(reading.change)
+    if deviations is not None:
+        oscillating = vibration_shift(model, rows, loads[0], deviations)
+        reading = _without_shift(reading, oscillating)
+        reached, loads = oscillating.loads[None], solve(reading.change)
+    result = _describe_loads(calibration, model, reading, loads, (direct, zero), reached)
+    if direct is not None or all_trims is None or all_trims.non_iterative is None:
+        return result
+    absent = [name for i, name in enumerate(model.channel_names) if i not in reading.rows]
+    note = f"mean loads by iteration: the non-iterative method needs {', '.join(absent)}"
+    return replace(result, note="; ".join(filter(None, [result.note, note])))
+
+
+def _mean_reading(
+    spectra: Harmonics,
+    calibration: Calibration,
+    model: CalibrationModel,
+    health: ChannelHealth,
+    zero: ZeroRecord | None,
+) -> MeanReading:
+    """The mean readings of one run less those of the unloaded rig, whose metric part is level."""
+    all_trims = calibration.all_trims
     level = np.zeros(len(model.components)) if all_trims is None else all_trims.level_weight_loads
     natural = model.zeros.mean(axis=0)
     if all_trims is not None:
         natural = natural + all_trims.readings_beside_shaft(None, model.channel_names)[0]
     zeros = CalibrationZeros(natural + model.readings(level[None])[0], model.zeros)
-    reading = mean_reading(model.channel_names, natural, zeros, spectra, health, zero)
-    rows = np.array(reading.rows, dtype=np.intp)
-    if not _loads_determined(model, rows):
-        raise undetermined_loads_error(health, spectra.run)
-    left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
-    direct = None if all_trims is None or len(rows) < len(model.channel_names) else all_trims.non_iterative
-    usable = _UsableChannels(model, rows, spectra.run, left_out)
-
-    def solve(change: Array) -> Array:
-        return _solve_loads(usable, change) if direct is None else direct.loads(change)
-
-    loads, oscillating = solve(reading.change), None
-    if deviations is not None:
-        oscillating = vibration_shift(model, rows, loads[0], deviations)
-        reading = _without_shift(reading, oscillating)
-        loads = solve(reading.change)
-    result = _describe_loads(calibration, model, reading, loads, (direct, zero), oscillating)
-    if direct is not None:
-        return result
-    if all_trims is None or all_trims.non_iterative is None:
-        return result
-    absent = [name for i, name in enumerate(model.channel_names) if i not in reading.rows]
-    note = f"mean loads by iteration: the non-iterative method needs {', '.join(absent)}"
-    return replace(result, note="; ".join(filter(None, [result.note, note])))
+    return mean_reading(model.channel_names, natural, zeros, spectra, health, zero)
 
 
 def _describe_loads(
@@ -121,11 +131,11 @@ def _describe_loads(
     reading: MeanReading,
     loads: Array,
     origin: tuple[NonIterativeModel | None, ZeroRecord | None],
-    oscillating: VibrationShift | None,
+    reached: Array,
 ) -> MeanLoads:
     """Mean loads (1, k) with their errors and flags; `origin`: the other model where it gave them, and the zero.
 
-    Products that were not tested are as uncertain as those of the `oscillating` loads.
+    Products that were not tested are as uncertain as those of the loads (1, k) that a vibration has `reached`.
     """
     all_trims, (direct, zero) = calibration.all_trims, origin
     assert all_trims is not None
@@ -134,11 +144,9 @@ def _describe_loads(
     coefficient_covariance = model.model_covariance(loads, rows)[0]
     noise = reading.covariance + _widened_covariance(calibration, rows, coefficient_covariance)
     total_covariance = noise + coefficient_covariance
-    tested = np.diag(model.load_covariance(loads, noise, rows)[0])
-    if direct is not None:
-        tested = _non_iterative_variance(direct, calibration, reading)
+    linearized = np.diag(model.load_covariance(loads, noise, rows)[0])
+    tested = linearized if direct is None else _non_iterative_variance(direct, calibration, reading)
     variance, untested = tested, all_trims.untested_products
-    reached = loads if oscillating is None else oscillating.loads[None]
     if untested is not None:
         total_covariance = total_covariance + untested.reading_covariance(reached, rows)[0]
         variance = tested + np.diag(untested.load_covariance(model, reached, rows)[0])
