@@ -12,6 +12,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
+from balance_cli.estimation.mode_crossings import cross_modes
 from balance_cli.estimation.starting_values import add_weak_priors
 from balance_cli.model.balance import BalanceModel, Estimate
 
@@ -40,17 +41,21 @@ def fit_maximum_likelihood(
     The fit ends when the predicted decrease of chi-square is less than `tolerance`. `known`: the curvature of the data
     at `start`, where another fit of this model to these lines has ended there. `deadline`: as in `minimize`.
     """
-    return minimize(
-        model.parameters,
-        start,
-        lambda theta: data_curvature(batches, model.system(theta)),
-        lambda theta: data_chi2(batches, model.system(theta, derivatives=False)),
-        iterations=iterations,
-        tolerance=tolerance,
-        known=known,
-        near_minimum=True,
-        deadline=deadline,
-    )
+
+    def fit(start: Array, known: Curvature | None = None) -> Minimum:
+        return minimize(
+            model.parameters,
+            start,
+            lambda theta: data_curvature(batches, model.system(theta)),
+            lambda theta: data_chi2(batches, model.system(theta, derivatives=False)),
+            iterations=iterations,
+            tolerance=tolerance,
+            known=known,
+            near_minimum=True,
+            deadline=deadline,
+        )
+
+    return cross_modes(model, fit(start, known), iterations, fit)
 
 
 def take_first_steps(
@@ -69,16 +74,20 @@ def take_first_steps(
     priors are no part of `total`. `known` and `deadline`: as in a whole fit.
     """
     model = start.model
-    minimum = minimize(
-        add_weak_priors(model.parameters, start.theta, prior_scales),
-        start.theta,
-        lambda at: data_curvature(batches, model.system(at)),
-        lambda at: data_chi2(batches, model.system(at, derivatives=False)),
-        iterations=count,
-        tolerance=min_decrease,
-        known=known,
-        deadline=deadline,
-    )
+
+    def step(begin: Array, known: Curvature | None = None) -> Minimum:
+        return minimize(
+            add_weak_priors(model.parameters, start.theta, prior_scales),
+            begin,
+            lambda at: data_curvature(batches, model.system(at)),
+            lambda at: data_chi2(batches, model.system(at, derivatives=False)),
+            iterations=count,
+            tolerance=min_decrease,
+            known=known,
+            deadline=deadline,
+        )
+
+    minimum = cross_modes(model, step(start.theta, known), count, step)
     return replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta))
 
 
