@@ -14,7 +14,7 @@ from balance_cli.report.figure_style import save_picture
 from balance_cli.simulation import Noise, draw_rig, simulate_campaign
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
-from studies.blind.judge import blind_chunk, blind_table
+from studies.blind.judge import BLIND_KINDS, blind_chunk, blind_table
 from studies.calibration import calibration_chunk, calibration_table
 from studies.calibration_rows import rows_chunk, rows_table
 from studies.calibration_schedules import schedules_chunk, schedules_table
@@ -249,13 +249,17 @@ def coverage_by_fault(seeds: int = 4, jobs: int = 1) -> None:
 
 
 @studies.command()
+@click.option("--kind", type=click.Choice(list(BLIND_KINDS)), default="drawn", show_default=True)
+@click.option("--first", default=0, show_default=True, help="First seed.")
 @click.option("--campaigns", default=30, show_default=True)
 @click.option("--jobs", default=2, show_default=True)
-def blind(campaigns: int = 30, jobs: int = 2) -> None:
+def blind(kind: str = "drawn", first: int = 0, campaigns: int = 30, jobs: int = 2) -> None:
     """The commands on campaigns of drawn rigs, from a simulator that shares no code with the package."""
-    rows = run_chunks("blind", blind_chunk, range(campaigns), jobs)
-    _write("blind_campaigns", rows)
-    _write("blind", blind_table(rows))
+    seeds = range(first, first + campaigns)
+    rows = run_chunks(f"blind-{kind}", partial(blind_chunk, kind), seeds, jobs)
+    name = "blind" if kind == "drawn" else f"blind_{kind}"
+    _write(f"{name}_campaigns", rows)
+    _write(name, blind_table(rows))
     click.echo(blind_table(rows).to_string(index=False))
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from studies.blind.campaign import EXCITATIONS, write_campaign
 from studies.blind.hidden import LINEAR, NONLINEAR, OTHERS, Cause, Hidden, nothing
 from studies.blind.records import COMPONENTS, true_rig
 from studies.blind.rigs import draw_declared, draw_true
+from studies.blind.unknown import UNKNOWN
 
 Z_95 = 1.959963984540054
 
@@ -208,17 +210,34 @@ def causes_of(seed: int) -> tuple[Cause, ...]:
     return (OTHERS[kind - 24],)
 
 
-def blind_chunk(seed: int) -> pd.DataFrame:
-    """The row of one campaign, made and judged in a folder of its own."""
+BLIND_KINDS: dict[str, Callable[[int], tuple[Cause, ...]]] = {
+    "drawn": causes_of,
+    "nothing": lambda seed: (nothing,),
+    "unknown": lambda seed: (UNKNOWN[seed % len(UNKNOWN)],),
+}
+"""The causes of a seed in each kind of study."""
+
+
+def blind_chunk(kind: str, seed: int) -> pd.DataFrame:
+    """The row of one campaign of a kind, made and judged in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        return pd.DataFrame([blind_case(seed, causes_of(seed), Path(folder))])
+        return pd.DataFrame([blind_case(seed, BLIND_KINDS[kind](seed), Path(folder))])
+
+
+def _kind_of(causes: str) -> str:
+    """The kind of a campaign in the table, by the names of its causes."""
+    if " + " in causes:
+        return "several"
+    known = {"nothing": "nothing", **{cause.__name__: "one effect" for cause in KNOWN}}
+    return known.get(causes, "other cause")
 
 
 def blind_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Figures by kind of campaign: nothing hidden, one effect, several, other causes."""
-    kinds = pd.cut(rows["seed"] % 30, [-1, 3, 19, 23, 29], labels=["nothing", "one effect", "several", "other cause"])
+    kinds = rows["causes"].map(_kind_of)
     parts = []
-    for kind, part in rows.groupby(kinds, observed=True):
+    for kind in [name for name in ("nothing", "one effect", "several", "other cause") if (kinds == name).any()]:
+        part = rows[kinds == kind]
         weight = part["unflagged"].fillna(0)
         parts.append(
             {

@@ -14,12 +14,14 @@ from studies.blind.hidden import (
     cubic_stiffness,
     dry_friction,
     gyroscopic_coupling,
+    nothing,
     support_flexibility,
 )
-from studies.blind.judge import blind_table, causes_of, load_errors
+from studies.blind.judge import BLIND_KINDS, blind_table, causes_of, load_errors
 from studies.blind.physics import equilibria, linear_forces, nonlinear_forces, static_forces
 from studies.blind.records import true_rig
 from studies.blind.rigs import draw_declared, draw_true
+from studies.blind.unknown import UNKNOWN
 
 SEED = 12
 
@@ -117,8 +119,20 @@ def test_seeds_hide_nothing_one_effect_several_or_an_unknown_cause():
     assert len({causes_of(seed)[0] for seed in range(4, 20)}) == 16
     row = {"failed": "", "right": 1, "of": 1, "verdict": "explained", "rows": 10, "worst_z": 2.0, "cpu": 9, "memory": 5}
     rows = pd.DataFrame(
-        [{**row, "seed": seed, "unflagged": u, "coverage": c} for seed, u, c in ((4, 10, 1.0), (5, 5, 0.4))]
+        [
+            {**row, "causes": name, "unflagged": u, "coverage": c}
+            for name, u, c in (("channel_gain", 10, 1.0), ("time_delay", 5, 0.4))
+        ]
     )
     (table,) = blind_table(rows).to_dict("records")
     assert table["kind"] == "one effect" and table["labels_right"] == "2 of 2"
     assert table["unflagged"] == pytest.approx(0.75) and table["coverage"] == pytest.approx(0.8)
+    names = ["nothing", "time_delay", "time_delay + low_pass", "bilinear_cell", "saturation"]
+    kinds = blind_table(pd.concat([rows[:1].assign(causes=name) for name in names]))
+    assert list(kinds["kind"]) == ["nothing", "one effect", "several", "other cause"]
+    assert list(kinds["campaigns"]) == [1, 1, 1, 2]
+
+
+def test_studies_of_sound_rigs_and_of_unknown_causes_hide_nothing_else():
+    assert {BLIND_KINDS["nothing"](seed) for seed in range(9)} == {(nothing,)}
+    assert {BLIND_KINDS["unknown"](seed)[0] for seed in range(len(UNKNOWN))} == set(UNKNOWN)
