@@ -131,8 +131,9 @@ def _add_effects(
         result = result.add(added.state or state, added.trials, added.alternatives)
         if number == first_round:
             found, trials, gains = add_set_ups_by_whole_fit(base, result.state, of_set_ups, lines, number, settings)
+            result = result if found is None else result.supersede(first)
+            result = result.add(found or result.state, trials, gains)
             if found is not None:
-                result = result.supersede(first).add(found, trials, gains)
                 continue
         if not stuck and _is_slow(state, added.state, settings):
             restarted = restart_if_better(result.state, lines, settings)
