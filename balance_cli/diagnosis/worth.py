@@ -15,7 +15,7 @@ as in the sweeps, and the covariance of the parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,10 +85,10 @@ def compared_systems(
     gain = effect_wald_statistic(fit, effect)[0]
     if gain < settings.selection.strong_gain or settings.fit.is_over:
         return fit.system(), fit.model.system(theta_without(fit, effect))
-    some = select_every_nth_line(batches, settings.fit.target_lines)
-    lacking = fit_until_stable(_best_start(fit, effect, some), SearchLines(some, some), settings.fit)
-    weighted = add_model_error(some, lacking.shares)
-    same = take_steps(fit, weighted, settings.fit.search_steps, settings.fit)
+    some, steps = select_every_nth_line(batches, settings.fit.target_lines), settings.worth.refit_steps
+    few = replace(settings.fit, search_rounds=settings.worth.refit_rounds, search_steps=steps)
+    lacking = fit_until_stable(_best_start(fit, effect, some), SearchLines(some, some), few)
+    same = take_steps(fit, add_model_error(some, lacking.shares), steps, settings.fit)
     return fit.model.system(same.theta), lacking.system()
 
 
