@@ -15,6 +15,7 @@ from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvatu
 from balance_cli.estimation.mode_crossings import cross_modes
 from balance_cli.estimation.starting_values import add_weak_priors
 from balance_cli.model.balance import BalanceModel, Estimate
+from balance_cli.model.parameters import ParameterSet
 
 Array = NDArray[np.float64]
 
@@ -41,17 +42,34 @@ def fit_maximum_likelihood(
     The fit ends when the predicted decrease of chi-square is less than `tolerance`. `known`: the curvature of the data
     at `start`, where another fit of this model to these lines has ended there. `deadline`: as in `minimize`.
     """
+    return _minimize_chi2(
+        model, model.parameters, batches, start, known, iterations, tolerance, near_minimum=True, deadline=deadline
+    )
 
-    def fit(start: Array, known: Curvature | None = None) -> Minimum:
+
+def _minimize_chi2(
+    model: BalanceModel,
+    parameters: ParameterSet,
+    batches: Sequence[Batch],
+    start: Array,
+    known: Curvature | None,
+    iterations: int,
+    tolerance: float,
+    near_minimum: bool,
+    deadline: Deadline | None,
+) -> Minimum:
+    """The least chi-square of the lines and of the priors of `parameters`, beyond modes that meet on the way."""
+
+    def fit(begin: Array, known: Curvature | None = None) -> Minimum:
         return minimize(
-            model.parameters,
-            start,
+            parameters,
+            begin,
             lambda theta: data_curvature(batches, model.system(theta)),
             lambda theta: data_chi2(batches, model.system(theta, derivatives=False)),
             iterations=iterations,
             tolerance=tolerance,
             known=known,
-            near_minimum=True,
+            near_minimum=near_minimum,
             deadline=deadline,
         )
 
@@ -74,20 +92,10 @@ def take_first_steps(
     priors are no part of `total`. `known` and `deadline`: as in a whole fit.
     """
     model = start.model
-
-    def step(begin: Array, known: Curvature | None = None) -> Minimum:
-        return minimize(
-            add_weak_priors(model.parameters, start.theta, prior_scales),
-            begin,
-            lambda at: data_curvature(batches, model.system(at)),
-            lambda at: data_chi2(batches, model.system(at, derivatives=False)),
-            iterations=count,
-            tolerance=min_decrease,
-            known=known,
-            deadline=deadline,
-        )
-
-    minimum = cross_modes(model, step(start.theta, known), count, step)
+    weak = add_weak_priors(model.parameters, start.theta, prior_scales)
+    minimum = _minimize_chi2(
+        model, weak, batches, start.theta, known, count, min_decrease, near_minimum=False, deadline=deadline
+    )
     return replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta))
 
 
