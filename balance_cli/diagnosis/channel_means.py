@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.cell_forces import record_force_histories
+from balance_cli.estimation.channel_distortions import channel_distortions
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.mechanics.cell_force import CellForce
 from balance_cli.model.system import System
@@ -114,8 +115,11 @@ class MeanRegression:
         return max(shares) / max(float(self.residual @ self.residual), np.finfo(float).tiny)
 
 
-def force_means(runs: Sequence[RunSpectrum], system: System, at_rest: Solution) -> Array:
-    """Return the means [V] (R, C) that forces which the motion determines add to those of the runs that have means."""
+def nonlinear_means(runs: Sequence[RunSpectrum], system: System, at_rest: Solution) -> Array:
+    """Return what nonlinear terms add to the means (R, C) [V] of the runs that have them.
+
+    These are the forces that the motion determines, and channels that are not linear.
+    """
     with_mean = [run for run in runs if (run.frequency == 0).any()]
     shift = np.zeros((len(with_mean), len(system.channel_names)))
     if not system.equations.has_nonlinear_terms:
@@ -126,12 +130,19 @@ def force_means(runs: Sequence[RunSpectrum], system: System, at_rest: Solution) 
         waveform = batch.runs[0].waveform
         if waveform is None:
             continue
+        for distortions in channel_distortions(batch, system, derivatives=False):
+            row += 0.5 * distortions.volts(system)[-1].real
         for force, _, through_time in record_force_histories(waveform, system, batch.spin):
             if force.held is None:
                 # The last bin is twice the mean.
                 mean = 0.5 * waveform.to_bins(through_time)[-1].real
                 row += mean * (acting[:, force.spring] + (read[:, force.spring] if force.read else 0.0))
     return shift
+
+
+def curvature_columns(means: ChannelMeans, tested: NDArray[np.bool_]) -> Array:
+    """What curvature of each channel tested does to its means (p, R, C): in proportion to the power of its reading."""
+    return np.stack([means.power * np.eye(means.volts.shape[1])[i] for i in np.flatnonzero(tested)])
 
 
 def contact_columns(system: System, means: ChannelMeans, at_rest: Solution, contacts: Sequence[CellForce]) -> Array:

@@ -7,7 +7,9 @@ The mean of a swept record is that of its loads through the static response, and
 with a zero z_c and a load offset o_j that are the same in all runs. Where the e of a channel scatter more than their
 noise, its zero drifts. Its variance then belongs to the means, so that no effect explains what is none. The
 quadratic force of a cell shifts means, too, but in proportion to the power of its motion, and in the channels of the
-whole plate: where one such cell describes most of what is left, it is left to the search. Other forces shift means in
+whole plate: where one such cell describes most of what is left, it is left to the search. Channels that curve shift
+their own means in proportion to the power of their readings: where that describes most, it stands beside the zeros, and
+is left to the search as well. Other forces shift means in
 other ways. Once the search has found one, the means that it has by the motion are no drift; a dry contact, which rests
 with another force in each run, is named as what may drift in place of the zeros.
 """
@@ -26,7 +28,8 @@ from balance_cli.diagnosis.channel_means import (
     cell_patterns,
     channel_means,
     contact_columns,
-    force_means,
+    curvature_columns,
+    nonlinear_means,
     shared_columns,
 )
 from balance_cli.diagnosis.data_test_settings import DataTestSettings
@@ -127,6 +130,7 @@ def find_zeros(system: System, spectra: Spectra, settings: DataTestSettings) -> 
     sweep_means = _SweepMeans.of(system, spectra, settings)
     if sweep_means.tested.sum() < limits.min_channels:
         return Zeros({}, None)
+    sweep_means = sweep_means.beside_curvature(settings)
     regression = sweep_means.regression(sweep_means.columns)
     patterns = list(cell_patterns(system, sweep_means.means, sweep_means.at_rest))
     drift = sweep_means.drift(regression, settings) if regression.largest_share(patterns) <= limits.cell_share else None
@@ -140,25 +144,21 @@ def find_zeros(system: System, spectra: Spectra, settings: DataTestSettings) -> 
 def share_with_forces(
     drift: ZeroDrift | None, system: System, spectra: Spectra, settings: DataTestSettings
 ) -> ZeroDrift | None:
-    """Return what forces of the updated system leave of a drift, with the part that dry contacts describe.
+    """Return what nonlinear terms of the updated system leave of a drift, with the part that dry contacts describe.
 
     The means that the motion determines are known. In each run a contact holds a force of its own, the same for all
     channels; it is named where that is most of the drift. `spectra` are those without the drift.
     """
     contacts = tuple(force for force in system.equations.forces if force.held is not None)
-    if drift is None or not system.equations.forces:
+    if drift is None or not system.equations.nonlinear_terms:
         return drift
     sweep_means = _SweepMeans.of(system, spectra, settings)
-    if len(contacts) < len(system.equations.forces):
+    if len(contacts) < system.equations.nonlinear_terms:
         drift = sweep_means.drift(sweep_means.regression(sweep_means.columns), settings)
     if drift is None or not contacts:
         return drift
     held = contact_columns(system, sweep_means.means, sweep_means.at_rest, contacts)
-    without, beside = (
-        sweep_means.regression(sweep_means.columns),
-        sweep_means.regression(np.concatenate([sweep_means.columns, held])),
-    )
-    share = 1.0 - float(beside.channel_chi2.sum() / max(without.channel_chi2.sum(), np.finfo(float).tiny))
+    share, beside = sweep_means.share(held)
     if share <= settings.zero_drift.cell_share:
         return drift
     places = tuple(system.equations.springs[force.spring] for force in contacts)
@@ -167,7 +167,7 @@ def share_with_forces(
 
 @dataclass(frozen=True)
 class _SweepMeans:
-    """Means of the sweeps, without those of their loads and of forces by the motion, and what all runs share.
+    """Means of the sweeps, without those of their loads and of nonlinear terms, and what all runs share.
 
     `names` of the C channels, `tested` (C,) those with means in enough runs; `columns` (p, R, C); `volts` and their
     `variance` (R, C) with the error of the response, infinite where they take no part; `static_sigma` (C,) of a static
@@ -193,12 +193,26 @@ class _SweepMeans:
         variance = means.variance + (limits.response_error * np.abs(means.loads) @ np.abs(T).T) ** 2
         variance[:, ~tested] = np.inf
         columns = shared_columns(T, means, tested)
-        volts = means.volts - means.loads @ T.T - force_means(spectra.lines, system, at_rest)
+        volts = means.volts - means.loads @ T.T - nonlinear_means(spectra.lines, system, at_rest)
         return cls(names, means, at_rest, tested, columns, volts, variance, _static_sigma(spectra, names))
 
     def regression(self, columns: Array) -> MeanRegression:
         """The regression of the means on columns."""
         return MeanRegression.of(columns, self.volts, self.variance)
+
+    def share(self, columns: Array) -> tuple[float, MeanRegression]:
+        """The share of the squared residual that further columns describe, and the regression with them."""
+        without = self.regression(self.columns)
+        beside = self.regression(np.concatenate([self.columns, columns]))
+        return 1.0 - float(beside.channel_chi2.sum() / max(without.channel_chi2.sum(), np.finfo(float).tiny)), beside
+
+    def beside_curvature(self, settings: DataTestSettings) -> _SweepMeans:
+        """The same beside curvature of the channels, which all runs share, where it describes most of a drift."""
+        if self.drift(self.regression(self.columns), settings) is None:
+            return self
+        columns = curvature_columns(self.means, self.tested)
+        describes = self.share(columns)[0] > settings.zero_drift.cell_share
+        return replace(self, columns=np.concatenate([self.columns, columns])) if describes else self
 
     def drift(self, regression: MeanRegression, settings: DataTestSettings) -> ZeroDrift | None:
         """The drift that a regression leaves."""

@@ -2,7 +2,8 @@
 
 A channel that saturates maps the voltage of a linear one to another, one to one. So the difference of the two is a
 known function of the reading, whose spectrum is subtracted from the channel's lines. Like a nonlinear force it acts at
-all frequencies at once, the mean included.
+all frequencies at once, the mean included. The reading counts from the zero of the channel; that the distortion depends
+on an offset is not among the derivatives, for it is small beside the offset itself.
 """
 
 from __future__ import annotations
@@ -80,39 +81,71 @@ def record_distortions(waveform: Waveform, system: System) -> RunDistortions:
     return _run_distortions(slice(None), waveform, system, derivatives=False)
 
 
+def resting_distortions(waveform: Waveform, system: System) -> Array:
+    """Compute the volts (c,) by which channels that are not linear read differently at rest, under the mean loads.
+
+    The mean of what they read differently in a vibration is another one.
+    """
+    total = np.zeros(len(system.equations.paths))
+    for item in system.equations.distortions:
+        if item.values.value[0] != 0.0:
+            reading = waveform.to_time_domain(waveform.volts[:, item.channel])
+            total[item.channel] += _distortion_at_rest(
+                item, reading - system.equations.channel_offset.value[item.channel]
+            )
+    return total
+
+
+def _distortion_at_rest(item: ChannelDistortion, reading: Array) -> float:
+    """The distortion [V] at the mean of the linear reading, which lies between those of the least and the largest."""
+    from scipy.optimize import brentq
+
+    values = Dual(item.values.value, np.zeros((0, len(item.values.value))))
+
+    def linear(v: Array) -> Array:
+        return np.asarray(v - (values[0] * item.shape(v, values)).value)
+
+    mean = linear(reading).mean()
+    at_rest = brentq(lambda v: linear(np.array([v]))[0] - mean, reading.min(), reading.max())
+    return float(at_rest - mean)
+
+
 def _run_distortions(lines: slice, waveform: Waveform, system: System, derivatives: bool) -> RunDistortions:
-    distortions = tuple(_at_lines(item, waveform, derivatives) for item in system.equations.distortions)
+    offset = system.equations.channel_offset.value
+    distortions = tuple(
+        _at_lines(item, float(offset[item.channel]), waveform, derivatives) for item in system.equations.distortions
+    )
     count = len(waveform.combine_bins(np.zeros(len(waveform.bin_frequency()), complex)))
     return RunDistortions(lines, count, distortions)
 
 
-def _at_lines(item: ChannelDistortion, waveform: Waveform, derivatives: bool) -> DistortionAtLines:
+def _at_lines(item: ChannelDistortion, offset: float, waveform: Waveform, derivatives: bool) -> DistortionAtLines:
     columns = np.flatnonzero(np.any(item.values.derivative, axis=1)) if derivatives else np.zeros(0, np.intp)
-    volts, by_values = _volts_and_slopes(item, waveform, len(columns) > 0)
+    volts, by_values = _volts_and_slopes(item, offset, waveform, len(columns) > 0)
     return DistortionAtLines(item.channel, volts, columns, by_values @ item.values.derivative[columns].T)
 
 
 def _volts_and_slopes(
-    item: ChannelDistortion, waveform: Waveform, derivatives: bool
+    item: ChannelDistortion, offset: float, waveform: Waveform, derivatives: bool
 ) -> tuple[ComplexArray, ComplexArray]:
     """The distortion (k,) [V] at the lines, and its derivatives (k, v) by its own values, zero where not asked for.
 
-    At the null both follow from the reading alone, whatever the model: they are kept as long as the waveform.
+    At the null both follow from the reading and its zero alone: they are kept as long as the waveform.
     """
     if item.values.value[0] != 0.0:
-        return _transform_distortion(item, waveform, derivatives)
-    key = (item.channel, item.shape, item.values.value.tobytes(), derivatives)
+        return _transform_distortion(item, offset, waveform, derivatives)
+    key = (item.channel, item.shape, item.values.value.tobytes(), offset, derivatives)
     of_waveform = _AT_NULL.setdefault(waveform, {})
     if key not in of_waveform:
-        of_waveform[key] = _transform_distortion(item, waveform, derivatives)
+        of_waveform[key] = _transform_distortion(item, offset, waveform, derivatives)
     return of_waveform[key]
 
 
 def _transform_distortion(
-    item: ChannelDistortion, waveform: Waveform, derivatives: bool
+    item: ChannelDistortion, offset: float, waveform: Waveform, derivatives: bool
 ) -> tuple[ComplexArray, ComplexArray]:
     count = len(item.values.value)
-    reading = waveform.to_time_domain(waveform.volts[:, item.channel])
+    reading = waveform.to_time_domain(waveform.volts[:, item.channel]) - offset
     values = Dual(item.values.value, np.eye(count) if derivatives else np.zeros((0, count)))
     distortion = values[0] * item.shape(reading, values)
     if not np.linalg.norm(distortion.value) <= MAX_SHARE * np.linalg.norm(reading):

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.campaign.rig.channel_groups import expand_group
+from balance_cli.campaign.rig.channel_groups import channel_groups, expand_group
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.extensions.library import EXTENSIONS, extension
+from balance_cli.simulation.extensions.library import EXTENSIONS, extension, parameter_names
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,9 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
     Raises UserError for an unknown effect or parameter, and for an effect that is given twice at one place.
     """
     extensions = [
-        effect if isinstance(effect, Extension) else _declared_extension(effect, rig.geometry) for effect in effects
+        item
+        for effect in effects
+        for item in ([effect] if isinstance(effect, Extension) else _declared_extensions(effect, rig.geometry))
     ]
     for index, item in enumerate(extensions):
         if (type(item), item.where) in [(type(before), before.where) for before in extensions[:index]]:
@@ -190,6 +192,17 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
     return rig.with_extensions(*sorted(extensions, key=lambda item: order.index(item.name)))
 
 
-def _declared_extension(effect: DeclaredEffect, geometry: Geometry) -> Extension:
-    """The extension of a declared effect, in each channel of a group."""
-    return extension(effect.name, expand_group(effect.where, geometry), **effect.parameters)
+def _declared_extensions(effect: DeclaredEffect, geometry: Geometry) -> list[Extension]:
+    """The extension of a declared effect, in all channels of a group, or one each where they have their own parameters.
+
+    Their own parameters are named PARAMETER_CHANNEL.
+    """
+    members = channel_groups(geometry).get(effect.where[0], ()) if len(effect.where) == 1 else ()
+    known = parameter_names(EXTENSIONS[effect.name]) if effect.name in EXTENSIONS else ()
+    own = {
+        channel: {name: effect.parameters[full] for name in known if (full := f"{name}_{channel}") in effect.parameters}
+        for channel in members
+    }
+    if not any(own.values()):
+        return [extension(effect.name, expand_group(effect.where, geometry), **effect.parameters)]
+    return [extension(effect.name, (channel,), **values) for channel, values in own.items() if values]

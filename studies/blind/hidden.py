@@ -376,6 +376,16 @@ def saturation(truth: Truth, rng: np.random.Generator) -> Hidden:
     return Hidden(label, {"compression": limit**-2}, replace(truth, saturation={i: limit}))
 
 
+def nonlinear_bridges(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Every strain gauge bridge curves, by a share of its reading under half of the weight on its cell."""
+    volts = np.array([channel.sensitivity for channel in truth.rig.channels]) * 0.5 * truth.rig.mass * 9.81
+    bridges = [i for i, c in enumerate(truth.rig.channels) if c.time_constant is None and "torque" not in c.name]
+    share = rng.uniform(5e-4, 5e-3) * rng.choice([-1, 1], len(volts)) * rng.uniform(0.3, 1, len(volts))
+    curvature = {i: float(share[i] / volts[i]) for i in bridges}
+    names = {f"quadratic_{truth.rig.channels[i].name}": value for i, value in curvature.items()}
+    return Hidden("channel-nonlinearity@strain", names, replace(truth, curvature=curvature))
+
+
 LINEAR: tuple[Cause, ...] = (
     channel_gain,
     time_delay,
@@ -402,6 +412,7 @@ MORE: tuple[Cause, ...] = (
     gravity_stiffness,
     bending_stingers,
     exciter_low_passes,
+    nonlinear_bridges,
 )
 """Effects that the first sixty campaigns did not draw."""
 OTHERS: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -68,6 +68,8 @@ class Truth:
     drift: dict[int, float] = field(default_factory=dict)
     late_clock: dict[int, float] = field(default_factory=dict)
     saturation: dict[int, float] = field(default_factory=dict)
+    curvature: dict[int, float] = field(default_factory=dict)
+    """What a channel reads before its filter beyond a linear one, per square of what that one reads [1/V]."""
     converter: dict[int, Callable[[Array], Array]] = field(default_factory=dict)
     mains: dict[int, tuple[float, float]] = field(default_factory=dict)
 
@@ -200,12 +202,16 @@ def _channels(truth: Truth, record: Record, forces: Array, loads: Array, before:
     spectrum = np.fft.rfft(forces, axis=0)[:, cells] * channel_gains(truth, frequency)
     at = (pad + before + np.arange(n)) * fine
     whole = np.fft.irfft(_mixed(truth, spectrum * filtered), len(forces), axis=0)
+    rest = static_forces(truth.per_run(truth.mechanics, record), _steady(truth, record)[None])[:, cells]
+    rest = _mixed(truth, rest * channel_gains(truth, np.zeros(1)).real)
+    for channel, curvature in truth.curvature.items():
+        linear = np.fft.irfft(spectrum[:, channel], len(forces)) + rest[:, channel]
+        whole[:, channel] += np.fft.irfft(np.fft.rfft(curvature * linear**2) * filtered[:, 0], len(forces))
     volts = whole[at]
     for channel, share in truth.late_clock.items():
         position = (pad + before + np.arange(n) * (1 + share)) * fine
         volts[:, channel] = _interpolated(whole[:, channel], position)
-    rest = static_forces(truth.per_run(truth.mechanics, record), _steady(truth, record)[None])[:, cells]
-    volts = volts + _mixed(truth, rest * channel_gains(truth, np.zeros(1)).real)
+    volts = volts + rest
     for channel, drift in truth.drift.items():
         volts[:, channel] *= 1 + drift * (np.arange(n) / n - 0.5)
     for channel, volt in truth.offset.items():
@@ -254,6 +260,8 @@ def simulate_static(truth: Truth, loads: Array, noise: float, rng: np.random.Gen
     kept = [i for i, channel in enumerate(truth.rig.channels) if channel.time_constant is None]
     cells = [channel.cell for channel in truth.rig.channels]
     volts = _mixed(truth, forces[:, cells] * channel_gains(truth, np.zeros(1)).real)
+    for channel, curvature in truth.curvature.items():
+        volts[:, channel] += curvature * volts[:, channel] ** 2
     for channel, volt in truth.offset.items():
         volts[:, channel] += volt
     size = volts.std(axis=0)

@@ -30,7 +30,7 @@ from tests.support.other_rigs import other_rig
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 
 RIG = rotor_balance()
-PIEZO = channel_groups(RIG)["piezo"]
+STRAIN, PIEZO = channel_groups(RIG)["strain"], channel_groups(RIG)["piezo"]
 DELAY = 1.36e-4
 
 
@@ -132,6 +132,22 @@ def test_low_passes_of_all_exciters_become_one():
     fit, batches = fit_with(spectra, *each)
     merged, _ = merge_common_causes(fit, SelectionTask(batches, SETTINGS, lambda _: False), 5)
     assert labels(merged.model.geometry) == {"exciter-low-pass@all"}
+
+
+def test_bridges_that_curve_are_one_cause_with_a_coefficient_each():
+    """Nothing is saved by their group in place of them: each of them keeps its own coefficient."""
+    curvature = {f"quadratic_{name}": (-1) ** i * 0.03 for i, name in enumerate(STRAIN)}
+    spectra = spectra_of(effect("channel-nonlinearity", "strain", **curvature))
+    fit, batches = fit_with(spectra, effect("channel-nonlinearity", "strain"))
+    found = dict(zip(fit.model.parameters.names, fit.theta, strict=True))
+    for name, value in curvature.items():
+        assert found[f"channel-nonlinearity@strain.{name}"] == pytest.approx(value, abs=0.003)
+    each = [effect("channel-nonlinearity", name, quadratic=curvature[f"quadratic_{name}"]) for name in STRAIN]
+    single, batches = fit_with(spectra, *each)
+    assert single.chi2 == pytest.approx(fit.chi2, abs=1.0)
+    assert merge_common_causes(single, SelectionTask(batches, SETTINGS, lambda _: False), 5) == (single, ())
+    places = {item.placed_effect.where for item in candidates(RIG) if item.effect.name == "channel-nonlinearity"}
+    assert places == {(name,) for name in (*RIG.channel_names, "strain", "piezo")}
 
 
 def test_gains_that_differ_stay_as_many():

@@ -193,3 +193,40 @@ def test_means_of_a_force_that_the_motion_determines_are_no_drift(runs):
     damper = DeclaredEffect(name="quadratic-damping", where=("z1",), parameters={"c2": c2})
     model = balance_model(RIG.model_copy(update={"effects": (damper,)}))
     assert share_with_forces(drift, model.system(model.parameters.value), spectra, SETTINGS) is None
+
+
+def test_bridges_that_curve_are_no_drift():
+    """Each shifts its own mean with the power of its reading; beside that, its zero is seen as if it were linear."""
+    curvature = {f"quadratic_{name}": 0.01 * (-1) ** i for i, name in enumerate(STRAIN)}
+    curved = campaign((DeclaredEffect(name="channel-nonlinearity", where=("strain",), parameters=curvature),))
+    true = 0.1 * np.random.default_rng(3).normal(size=len(STRAIN))
+    zeros = zeros_of(with_zeros(curved, 0.0, constant=0.1, seed=3))
+    assert zeros.drift is None
+    assert zeros.offsets == pytest.approx(dict(zip(STRAIN, true, strict=True)), abs=1e-3)
+    drift = drift_of(with_zeros(curved, 3e-4, constant=0.1))
+    assert np.sqrt(np.mean(drift.sigma**2)) == pytest.approx(3e-4, rel=0.4)
+
+
+def test_what_a_model_with_curved_bridges_leaves_is_no_drift(runs):
+    curvature = {f"quadratic_{name}": 0.01 * (-1) ** i for i, name in enumerate(STRAIN)}
+    effect = DeclaredEffect(name="channel-nonlinearity", where=("strain",), parameters=curvature)
+    spectra = measured_spectra(campaign((effect,)), RIG, means=True)
+    model = balance_model(RIG.model_copy(update={"effects": (effect,)}))
+    before = drift_of(with_zeros(runs, 3e-4))
+    assert before is not None
+    assert share_with_forces(before, model.system(model.parameters.value), spectra, SETTINGS) is None
+
+
+def test_bridges_are_found_at_their_zeros():
+    """Their coefficients and gains refer to the unloaded rig, wherever the zeros of their bridges stand."""
+    curvature = {f"quadratic_{name}": 0.05 * (-1) ** i for i, name in enumerate(STRAIN)}
+    curved = campaign((DeclaredEffect(name="channel-nonlinearity", where=("strain",), parameters=curvature),))
+    runs = with_zeros(curved, 0.0, constant=0.3, seed=3)
+    spectra = measured_spectra(runs, RIG, means=True)
+    result, _ = diagnose(identify(spectra, RIG), spectra)
+    assert result.verdict == EXPLAINED
+    by_label = {item.label: item for item in result.effects}
+    assert set(by_label) == {"channel-nonlinearity@strain", *(f"channel-offset@{name}" for name in STRAIN)}
+    found = {item.name: item for item in by_label["channel-nonlinearity@strain"].parameters}
+    for name, value in curvature.items():
+        assert abs(found[name].value - value) < 4.0 * found[name].sigma

@@ -183,6 +183,7 @@ TRUTHS = {
     "time-delay": truth("time-delay", ("z1.piezo",), delay=1e-6),
     "crosstalk": truth("crosstalk", ("x.strain", "z1.strain"), fraction=1e-3),
     "saturation": truth("saturation", ("x.strain",), plan=together(), compression=0.08),
+    "channel-nonlinearity": truth("channel-nonlinearity", ("x.strain",), plan=together(), quadratic=-0.02),
     "exciter-low-pass": truth("exciter-low-pass", ("Fy",), cutoff=2e4, natural_period=2e-4),
     "exciter-mass": truth("exciter-mass", ("Fz",), plan=campaign(), mass=0.02),
     "exciter-stiffness": truth("exciter-stiffness", ("Fz", "Fx"), plan=campaign(), stiffness=3e3),

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 
 from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.search.trials import refit_trial
@@ -50,8 +51,13 @@ def _merge_proposals(fit: Fit, given_labels: Collection[str]) -> Iterator[tuple[
         for group in sorted(groups, key=lambda key: -len(groups[key])):
             members = [effect for effect in same if len(effect.where) == 1 and effect.where[0] in groups[group]]
             is_new = (group,) in possible and (group,) not in {effect.where for effect in same}
-            if is_new and len(members) > max(1, len(groups[group]) // 2):
+            if is_new and len(members) > max(1, len(groups[group]) // 2) and _has_one_value(same[0], group, geometry):
                 yield group, members
+
+
+def _has_one_value(effect: PlacedEffect, group: str, geometry: Geometry) -> bool:
+    """Whether a group has the parameters of each of its members: where each has its own, nothing is merged."""
+    return len(effect.effect.parameters(geometry, (group,))) == len(effect.parameters)
 
 
 def _merge(

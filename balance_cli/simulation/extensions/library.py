@@ -42,6 +42,7 @@ from balance_cli.simulation.extensions.nonlinear_cells import (
 )
 from balance_cli.simulation.extensions.signals import (
     ChannelGain,
+    ChannelNonlinearity,
     ChannelOffset,
     Crosstalk,
     HighPass,
@@ -97,6 +98,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     TimeDelay,
     Crosstalk,
     Saturation,
+    ChannelNonlinearity,
     MainsPickup,
     ChannelOffset,
 )

@@ -57,6 +57,18 @@ class Saturation(Extension):
 
 
 @dataclass(frozen=True)
+class ChannelNonlinearity(Extension):
+    """The channel reads v = u + a u^2 for the volts u of a linear one, with `quadratic` a [1/V]."""
+
+    name: ClassVar[str] = "channel-nonlinearity"
+    quadratic: float = 0.0
+
+    def volts(self, signals: Signals) -> Array:
+        """The volts with their squares."""
+        return _map_channels(self, signals, lambda u: u + self.quadratic * u * u)
+
+
+@dataclass(frozen=True)
 class LowPass(Extension):
     """A further first-order low-pass at `cutoff` [Hz]."""
 
