@@ -185,11 +185,17 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
         for item in ([effect] if isinstance(effect, Extension) else _declared_extensions(effect, rig.geometry))
     ]
     for index, item in enumerate(extensions):
-        if (type(item), item.where) in [(type(before), before.where) for before in extensions[:index]]:
+        if _place(item) in map(_place, extensions[:index]):
             label = f"{item.name}@{','.join(item.where)}" if item.where else item.name
             raise UserError(f"`{label}` is given twice", place="effects", remedy="Remove one of them")
     order = list(EXTENSIONS)
     return rig.with_extensions(*sorted(extensions, key=lambda item: order.index(item.name)))
+
+
+def _place(item: Extension) -> tuple[type[Extension], tuple[str, ...], tuple[str, ...]]:
+    """What only one extension can have: its kind, its place and the words of its choices, as `beside`."""
+    words = (getattr(item, name) for name in parameter_names(type(item)))
+    return type(item), item.where, tuple(word for word in words if isinstance(word, str))
 
 
 def _declared_extensions(effect: DeclaredEffect, geometry: Geometry) -> list[Extension]:

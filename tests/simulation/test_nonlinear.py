@@ -169,3 +169,15 @@ def test_faults_name_the_nearest():
         equations_of_motion(rig.with_extensions(extension("cubic-stiffness", ("z1",), k3=1.0, side="sideways")))
     with pytest.raises(UserError, match="not a number"):
         extension("time-delay", ("torque",), delay="long")
+
+
+def test_forces_inside_and_beside_one_cell_are_two():
+    """A search may accept both; one of the two twice is a mistake."""
+    sides = [
+        DeclaredEffect(name="quadratic-stiffness", where=("z1",), parameters={"k2": k2, "side": side})
+        for k2, side in ((1e8, "inside"), (2e8, "beside"))
+    ]
+    rig = apply_effects(true_rig(GEOMETRY), sides)
+    assert [item.side for item in rig.extensions] == ["inside", "beside"]
+    with pytest.raises(UserError, match="`quadratic-stiffness@z1` is given twice"):
+        apply_effects(true_rig(GEOMETRY), [*sides, sides[0]])
