@@ -167,7 +167,7 @@ def _experiments(
     rows, loads = np.asarray(np.linalg.solve(root, rows), complex), np.linalg.solve(root, R)
     errors = np.tensordot(np.linalg.solve(root, mix), remainder.errors, axes=1)
     # Steady tones stay in the lines: identification has an effect for them.
-    channels = rows @ (s.channels + models.tones)[in_window]
+    channels = rows @ (s.channels[in_window] + models.tones[in_window])
     power = _relative_noise_power(rows, noise, noise[middle - first])
     return _Experiments(float(s.frequency[middle]), channels, loads, middle, power, errors, first, rows)
 
