@@ -47,8 +47,12 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class _Harmonics:
-    """Frequencies (h,) [Hz], variance (h, c) of the channels there, and the swept components with their levels (u,)."""
+    """Frequencies (h,) [Hz], variance (h, c) of the channels there, and the swept components with their levels (u,).
 
+    `spin` [Hz] is the speed at which the loads are reduced: what spins acts there, though the sweeps were made at rest.
+    """
+
+    spin: float
     frequency: Array
     variance: Array
     components: Index
@@ -142,7 +146,7 @@ def _harmonics(fit: Fit, batches: Sequence[Batch], settings: WorthSettings) -> _
     variance = np.array([_channel_variance(sweeps, f) for f in frequency])
     if np.any(np.isfinite(variance).sum(axis=1) < len(components)):
         return None
-    return _Harmonics(frequency, variance, components, levels[components])
+    return _Harmonics(speed, frequency, variance, components, levels[components])
 
 
 def _channel_variance(sweeps: Sequence[Batch], frequency: float) -> Array:
@@ -154,8 +158,8 @@ def _channel_variance(sweeps: Sequence[Batch], frequency: float) -> Array:
 
 def _worth(fit: Fit, whole: System, lacking: System, harmonics: _Harmonics) -> dict[str, float]:
     system, swept = fit.system(), harmonics.components
-    solution = solve(system, harmonics.frequency)
-    T, T0 = (response(item, solve(item, harmonics.frequency))[:, :, swept] for item in (whole, lacking))
+    solution = solve(system, harmonics.frequency, harmonics.spin)
+    T, T0 = (response(item, solve(item, harmonics.frequency, harmonics.spin))[:, :, swept] for item in (whole, lacking))
     weight = 1.0 / harmonics.variance
     G, noise = _weighted_inverse(response(system, solution)[:, :, swept], weight)
     reduced = _weighted_inverse(T0, weight)[0] @ T

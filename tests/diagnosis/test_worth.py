@@ -37,10 +37,10 @@ def fitted():
     return fit_of_campaign(LATE, OFFSET)
 
 
-def fit_of_campaign(*hidden):
+def fit_of_campaign(*hidden, spin=0.0):
     """The fit of a campaign with effects, its batches, and the effects by their names."""
     sweeps = (
-        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=6)
+        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=6, rotor_speed=spin)
         for name, level in HIGH_SWEEP_LEVELS.items()
     )
     rig = apply_effects(true_rig(RIG), hidden)
@@ -85,6 +85,21 @@ def test_what_is_late_moves_the_loads_that_its_cell_carries(fitted):
     late = effect_worth(fit, effects["time-delay"], batches)
     assert max(late, key=late.get) in ("Fx", "My")
     assert late["Fx"] > 1.0 > late["Mz"]
+
+
+def test_what_spins_moves_loads_at_the_rotor_speed():
+    """It does nothing at rest, where the responses of sweeps are otherwise compared."""
+    gyroscope = DeclaredEffect(name="gyroscopic-coupling", parameters={"polar_inertia": 0.05})
+    fit, batches, effects = fit_of_campaign(gyroscope, spin=17.5)
+    effect = effects["gyroscopic-coupling"]
+    worth = effect_worth(fit, effect, batches)
+    frequency = np.array([17.5, 35.0, 70.0])
+    whole, lacking = (
+        response(system, solve(system, frequency, 17.5)) for system in compared_systems(fit, effect, batches, SETTINGS)
+    )
+    error = np.abs(np.linalg.pinv(lacking) @ whole - np.eye(6)).max(axis=0)
+    assert error[3, 4] > 1e-3 and error[4, 3] > 1e-3
+    assert min(worth["Mx"], worth["My"]) > 2.0
 
 
 def test_it_cannot_be_told_without_a_rotor_speed_or_of_what_is_no_response(fitted):
