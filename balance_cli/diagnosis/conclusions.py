@@ -99,6 +99,10 @@ def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_a
     if kept_aside:
         notes = (*notes, f"no hold-out run was given: {', '.join(kept_aside)} kept aside, which no fit has used")
     notes = (*notes, *(f"{name}: {errors.other_set_up}" for name, errors in hold_out.items() if errors.other_set_up))
+    improved = [name for name, errors in hold_out.items() if needs_update(errors, settings)]
+    if improved and verdict == NOTHING_MISSING and diagnosis.effects:
+        verdict = EXPLAINED
+        notes = (*notes, f"the loads of {', '.join(improved)} are right with the effects found only: they matter there")
     undescribed = [name for name, errors in hold_out.items() if not is_described(errors, settings)]
     if undescribed and verdict in (NOTHING_MISSING, EXPLAINED):
         # The fitted runs are described: what is missing acts in the hold-out runs alone.
@@ -130,6 +134,14 @@ def is_described(errors: HoldOut, settings: SearchSettings) -> bool:
         and error > limits.undescribed_expected_ratio * by_parameters
         for error, by_noise, by_parameters in zip(after, noise, expected, strict=True)
     )
+
+
+def needs_update(errors: HoldOut, settings: SearchSettings) -> bool:
+    """Return whether the hub loads of a run are off without the update, by more than noise or a small error."""
+    before, after, noise = (_rms(part.load_error.values()) for part in (errors.before, errors.after, errors.noise))
+    limits = settings.hold_out
+    least = max(limits.undescribed_error, limits.undescribed_noise_ratio * noise, limits.needed_error_ratio * after)
+    return before > least
 
 
 def _describe_misfit(name: str, errors: HoldOut) -> str:

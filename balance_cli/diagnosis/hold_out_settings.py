@@ -34,3 +34,6 @@ class HoldOutSettings:
     it, four of its standard deviations."""
     undescribed_error: float = 2e-3
     """Relative error below which a run is described: the accuracy class of good force cells."""
+    needed_error_ratio: float = 2.0
+    """Error of the loads before over after the update, above which the run needs it, whatever its worth by the sweeps:
+    most of the squared error was that of the effects."""

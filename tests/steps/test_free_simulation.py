@@ -166,6 +166,19 @@ def test_a_model_that_is_worse_on_runs_left_out_is_contradicted(before, after, n
         assert judge_hold_out(nothing, {"check-1": errors}).verdict == (UNEXPLAINED if worse else NOTHING_MISSING)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "verdict"),
+    [(0.05, 1e-4, EXPLAINED), (0.001, 1e-4, NOTHING_MISSING), (0.003, 0.0018, NOTHING_MISSING)],
+    ids=["needed", "a small error", "as it was"],
+)
+def test_effects_that_a_check_run_needs_are_of_consequence(before, after, verdict):
+    """Whatever they are worth by the levels of the sweeps."""
+    errors = HoldOut(*(RunErrors({"My": error, "Fx": 0.0}, {}, 1e-4) for error in (before, after, 1e-4)))
+    made = judge_hold_out(diagnosis(NOTHING_MISSING), {"check-1": errors})
+    assert made.verdict == verdict
+    assert any("they matter there" in note for note in made.notes) == (verdict == EXPLAINED)
+
+
 def test_a_run_that_the_model_does_not_describe_shows_that_something_is_missing():
     errors = HoldOut(*(RunErrors({}, {}, error) for error in (0.301, 0.3, 0.01)))
     for verdict, effects, expected in (
