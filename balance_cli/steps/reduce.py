@@ -37,6 +37,7 @@ from balance_cli.reduction.resting_forces import add_resting_forces
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
 from balance_cli.reduction.series_doubt import add_series_doubt
+from balance_cli.reduction.static_disagreement import add_static_disagreement
 from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
 from balance_cli.reduction.vibration_shift import read_deviations
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
@@ -93,13 +94,7 @@ def reduce_record(
     the errors, the redundancy and the condition remain those of the inverted response.
     """
     record = add_load_fluctuation(record, geometry, source)
-    if calibration is None:
-        mean_solution = unmeasured_mean_loads(record.components)
-    else:
-        mean_solution = _mean_loads(record, calibration, zero)
-        mean_solution = add_resting_forces(mean_solution, record, calibration, source, zero is not None)
-        mean_solution = add_series_doubt(mean_solution, calibration)
-    mean_solution = add_gain_error(mean_solution, source)
+    mean_solution = _mean_loads(record, calibration, source, zero)
     response = harmonic_response(record, geometry, source)
     problem = load_problem(record, geometry, source, response)
     harmonic_solution = _add_dynamic_error(problem.solve(), record, geometry, source)
@@ -193,7 +188,19 @@ def _flag_implausible(loads: RunLoads, static: TrimCalibration) -> RunLoads:
     return loads.with_flag(EXTRAPOLATED, note)
 
 
-def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:
+def _mean_loads(
+    record: RotorRecord, calibration: Calibration | None, source: ResponseSource, zero: ZeroRecord | None
+) -> MeanLoads:
+    """Return the mean loads by the calibration, with what else makes them uncertain."""
+    if calibration is None:
+        return add_gain_error(unmeasured_mean_loads(record.components), source)
+    loads = _calibrated_mean_loads(record, calibration, zero)
+    loads = add_resting_forces(loads, record, calibration, source, zero is not None)
+    loads = add_static_disagreement(loads, record.health, calibration, source)
+    return add_gain_error(add_series_doubt(loads, calibration), source)
+
+
+def _calibrated_mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:
     """Return the mean loads by the calibration model through all trims if nonlinear, else by the nearest trim."""
     all_trims, health = calibration.all_trims, record.health
     deviations: Array | None = None
