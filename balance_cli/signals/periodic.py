@@ -17,6 +17,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, variance_floor
 from balance_cli.signals.line_covariance import LineCovariance, pool_scatter
 from balance_cli.signals.periodic_transient import SteadyStart, find_steady_start
+from balance_cli.signals.quantization import quantization_steps, repeated_variance
 from balance_cli.signals.run_samples import (
     channel_columns,
     load_columns,
@@ -101,9 +102,11 @@ def periodic_record(
     spectra, number, components = _period_spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
     start = find_steady_start(spectra, c)
-    mean, noise = _mean_and_noise(spectra, start.first, c)
+    averaged = len(spectra) - float(np.median(start.first))
+    floor = variance_floor(spectra, c) + averaged * _rounding_variance(run, channel_names, components, spectra, samples)
+    mean, noise = _mean_and_noise(spectra, start.first, floor)
     total = noise.scaled(1.0 + start.bias)
-    noise, left, information = _beside_transient(spectra, start, mean, noise, c)
+    noise, left, information = _beside_transient(spectra, start, mean, (noise, floor), c)
     variance = total.variance if left is None else total.variance + np.einsum("kss->ks", left).real
     excited = _excited_lines(mean, variance, len(components))
     selected = _select_lines(run, excited, frequency, band)
@@ -190,25 +193,42 @@ def _period_spectra(
     return spectra, np.arange(begin, end) + 1, components
 
 
-def _mean_and_noise(spectra: ComplexArray, first: Counts, c: int) -> tuple[ComplexArray, LineCovariance]:
-    """Mean (K, n) over the steady periods of each line, and the covariance of the mean; c of the n are channels."""
+def _rounding_variance(
+    run: Run, channel_names: Sequence[str], components: Sequence[str], spectra: ComplexArray, samples: int
+) -> Array:
+    """Variance (n,) of a line by rounding that repeats from period to period, and does not average out."""
+    channels, loads = read_samples(run, channel_names, run.samples - samples, run.samples)
+    steps = quantization_steps(np.hstack([channels, loads[:, load_columns(components)]]))
+    if not steps.any():
+        return steps
+    power = np.abs(spectra[-1] - spectra[-2]) ** 2
+    # The power of a difference is exponential, its median ln 2 of the mean; lines of n samples have 4 s^2 / n.
+    scatter = np.median(power, axis=0) / (2.0 * np.log(2.0)) * samples / 4.0
+    return np.asarray(repeated_variance(steps, scatter) * 4.0 / samples)
+
+
+def _mean_and_noise(spectra: ComplexArray, first: Counts, floor: Array) -> tuple[ComplexArray, LineCovariance]:
+    """Mean (K, n) over the steady periods of each line, and the covariance of the mean; `floor` (n,) of one period."""
     P = len(spectra)
     used = np.arange(P)[:, None] >= first
     m = used.sum(axis=0).astype(float)
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
-    return mean, pool_scatter(deviation.swapaxes(0, 1), m - 1.0, variance_floor(spectra, c)).scaled(1.0 / m)
+    return mean, pool_scatter(deviation.swapaxes(0, 1), m - 1.0, floor).scaled(1.0 / m)
 
 
 def _beside_transient(
-    spectra: ComplexArray, start: SteadyStart, mean: ComplexArray, noise: LineCovariance, c: int
+    spectra: ComplexArray, start: SteadyStart, mean: ComplexArray, known: tuple[LineCovariance, Array], c: int
 ) -> tuple[LineCovariance, ComplexArray | None, float]:
     """Noise of the mean without the transient of periods that are not steady, the square of that transient in the mean
-    (K, n, n), and the share of the information of the c channels beside it; without a transient `noise`, None and one.
+    (K, n, n), and the share of the information of the c channels beside it: the noise, None and one without any.
+
+    `known`: the noise with the transient, and the floor (n,) of its variance.
     """
+    noise, floor = known
     if start.steady.all():
         return noise, None, 1.0
-    beside = pool_scatter(*deviations_from_decay(spectra), variance_floor(spectra, c))
+    beside = pool_scatter(*deviations_from_decay(spectra), floor)
     beside = beside.scaled(1.0 / (len(spectra) - start.first))
     left = transient_covariance(spectra, start)
     information = information_beside_transient(mean[:, :c], beside.variance[:, :c], left[:, :c, :c])
