@@ -17,7 +17,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.steps.cross_checks import cross_check, keep_findings
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
 from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
-from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require_known_loads
+from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require_comparable
 from balance_cli.steps.hold_out_model_error import add_hold_out_error, note_contradicted_loads
 
 
@@ -57,7 +57,7 @@ def diagnose(
     require_disjoint(fitted, checks)
     findings = cross_check(model.geometry, fitted, identified_anyway)
     for run in checks:
-        require_known_loads(run)
+        require_comparable(run, model)
     kept_aside = () if checks else choose_hold_out(fitted)
     fitted = tuple(run for run in fitted if run not in kept_aside)
     spectra = measured_spectra(fitted, model.geometry, means=True)

@@ -100,7 +100,7 @@ def command(
     records = session.runs(runs, before.geometry, skip_bad)
     records = require_consistent_runs(session, before.geometry, records, skip_bad, identified_anyway)
     hold_out_runs = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", disjoint_from=records)
-    hold_out_runs = _select_usable_hold_out(session, hold_out_runs, skip_bad)
+    hold_out_runs = _select_usable_hold_out(session, hold_out_runs, before, skip_bad)
     kept_aside = () if hold_out else choose_hold_out(records)
     records = tuple(run for run in records if run not in kept_aside)
     spectra = measured_spectra(session.progress(records, "spectra", len(records), False), before.geometry, means=True)
@@ -149,14 +149,16 @@ def _search_settings(
     return replace(DEFAULT_SETTINGS, time_limit=time_limit, suspected=suspected, excluded=excluded)
 
 
-def _select_usable_hold_out(session: Session, hold_out_runs: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
-    """Return the hold-out runs that have known loads. It is checked before the fits, which take long."""
-    from balance_cli.steps.hold_out import require_known_loads
+def _select_usable_hold_out(
+    session: Session, hold_out_runs: tuple[Run, ...], before: IdentifiedModel, skip_bad: bool
+) -> tuple[Run, ...]:
+    """Return the hold-out runs that can be compared with a model. It is checked before the fits, which take long."""
+    from balance_cli.steps.hold_out import require_comparable
 
     usable_runs = []
     for run in hold_out_runs:
         with session.skip_if_unusable(run, skip_bad):
-            require_known_loads(run)
+            require_comparable(run, before)
             usable_runs.append(run)
     return tuple(usable_runs)
 

@@ -73,6 +73,13 @@ def require_known_loads(run: Run) -> None:
         raise UserError("has no `loads` to compare with", place, "loads", "Hold out a run whose loads were measured")
 
 
+def require_comparable(run: Run, model: IdentifiedModel) -> None:
+    """Raise UserError for a run without known loads, and for a check run whose loads a model cannot determine."""
+    require_known_loads(run)
+    if run.kind == "check":
+        _check_run_errors(run, model)
+
+
 @dataclass(frozen=True)
 class _ModelErrors:
     """Errors of a run by a model, their noise floor, what is expected, and `set_up`, None where it is the sweeps'."""

@@ -24,6 +24,7 @@ from balance_cli.diagnosis.result import (
 )
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
+from tests.support.channels import with_channel
 from tests.support.diagnosis_content import FakeDiagnose, diagnosis, fake_diagnose_module, hold_out, trials
 
 SWEEPS = ("sweep-Fx", "sweep-Fz", "sweep-Mz")
@@ -198,6 +199,21 @@ def test_a_hold_out_run_without_known_loads_is_refused_before_the_fit(diagnose, 
     result, output = diagnose("--skip-bad", held=("wind-1", "check-1"))
     assert list(output["hold_out"]) == ["check-1"]
     assert "wind-1" in str(output["skipped"])
+
+
+def test_a_check_run_whose_loads_cannot_be_determined_is_refused_before_the_fit(
+    diagnose, engine, campaign, folder, tmp_path
+):
+    """A torque meter that reads a constant: a search of a minute is not lost to it."""
+    check = next(run for run in campaign.runs if run.name == "check-1")
+    silent = with_channel(check, "torque", lambda volts: 0.0 * volts)
+    write_run(folder / "check-9.h5", replace(silent, name="check-9"))
+    try:
+        result, _ = diagnose(held=("check-9", "check-1"), status=2)
+        refused(result, tmp_path, "check-9", "torque: dead")
+        assert engine.spectra is None
+    finally:
+        (folder / "check-9.h5").unlink()
 
 
 def test_the_papers_form_is_refused_with_what_to_do(diagnose, folder, tmp_path):
