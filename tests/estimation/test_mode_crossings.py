@@ -8,7 +8,7 @@ import pytest
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.levenberg_marquardt import Minimum
 from balance_cli.estimation.likelihood import Curvature
-from balance_cli.estimation.mode_crossings import cross_modes, exchanged_damping, plate_frequencies
+from balance_cli.estimation.mode_crossings import cross_modes, exchanged_modes, plate_frequencies
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from tests.support.rigs import CONFIGS
@@ -43,9 +43,9 @@ def test_the_frequencies_are_those_of_the_plate():
 
 
 def test_ratios_are_exchanged_where_two_modes_meet():
-    assert exchanged_damping(MODEL, MODEL.parameters.value) == []
+    assert exchanged_modes(MODEL, MODEL.parameters.value) == []
     theta = symmetric()
-    first, second = (start[RATIOS] for start in exchanged_damping(MODEL, theta))
+    first, second = (start[RATIOS] for start in exchanged_modes(MODEL, theta))
     assert first == pytest.approx([0.02, 0.01, 0.03, 0.04, 0.05, 0.06])
     assert sorted(second) == sorted(theta[RATIOS]) and np.count_nonzero(second != theta[RATIOS]) == 2
 
@@ -53,7 +53,7 @@ def test_ratios_are_exchanged_where_two_modes_meet():
 def test_a_fit_that_ends_at_a_crossing_goes_on_beyond_it():
     """The right one of two pairs is found, and then the other."""
     theta, right = symmetric(), [0.02, 0.01, 0.03, 0.04, 0.05, 0.06]
-    second = [start[RATIOS] for start in exchanged_damping(MODEL, theta)][1]
+    second = [start[RATIOS] for start in exchanged_modes(MODEL, theta)][1]
     right = np.where(second != theta[RATIOS], second, right)
 
     def minimize(start):

@@ -7,6 +7,7 @@ an effect gains by reducing the error of all runs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, count_measured_values, data_chi2
 from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
+from balance_cli.estimation.mode_crossings import exchanged_modes
 from balance_cli.estimation.model_error import (
     ModelErrors,
     add_model_error,
@@ -55,8 +57,31 @@ def fit_until_stable(
 ) -> SearchState:
     """Return the fit from an estimate after rounds of fit and model error, until the error no longer shrinks.
 
-    `shares`: the model error to start from.
+    `shares`: the model error to start from. Where two modes are close, the fit may have to go on beyond their crossing.
     """
+    return _cross_close_modes(_fit_rounds(estimate, lines, settings, shares), lines, settings)
+
+
+def _cross_close_modes(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:
+    """Return the state, or a better one that begins with two close modes exchanged.
+
+    A mass or spring that the model had lacked may exchange the order of two modes (`estimation.mode_crossings`).
+    """
+    for start in exchanged_modes(state.model, state.theta) if any(state.shares.values()) else ():
+        if settings.is_over:
+            break
+        weighted = add_model_error(lines.fitted, state.shares)
+        with suppress(np.linalg.LinAlgError):
+            end = take_steps(state.model.at(start), weighted, settings.search_steps, settings)
+            if end.total.chi2 < penalized_chi2(state, weighted):
+                beyond = _fit_rounds(state.model.at(end.theta), lines, settings, state.shares)
+                state = min(state, beyond, key=lambda item: item.fit_criterion)
+    return state
+
+
+def _fit_rounds(
+    estimate: Estimate, lines: SearchLines, settings: FitSettings, shares: ModelErrors | None
+) -> SearchState:
     shares = estimate_model_error(lines.fitted, estimate.system(derivatives=False), shares)
     for _ in range(settings.search_rounds):
         weighted = add_model_error(lines.fitted, shares)
