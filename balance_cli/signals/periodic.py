@@ -17,7 +17,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, variance_floor
 from balance_cli.signals.line_covariance import LineCovariance, pool_scatter
 from balance_cli.signals.periodic_transient import SteadyStart, find_steady_start
-from balance_cli.signals.quantization import quantization_steps, repeated_variance
+from balance_cli.signals.quantization import COMPARED_SAMPLES, quantization_steps, repeated_variance
 from balance_cli.signals.run_samples import (
     channel_columns,
     load_columns,
@@ -197,7 +197,8 @@ def _rounding_variance(
     run: Run, channel_names: Sequence[str], components: Sequence[str], spectra: ComplexArray, samples: int
 ) -> Array:
     """Variance (n,) of a line by rounding that repeats from period to period, and does not average out."""
-    channels, loads = read_samples(run, channel_names, run.samples - samples, run.samples)
+    begin = run.samples - samples
+    channels, loads = read_samples(run, channel_names, begin, begin + min(samples, COMPARED_SAMPLES))
     steps = quantization_steps(np.hstack([channels, loads[:, load_columns(components)]]))
     if not steps.any():
         return steps

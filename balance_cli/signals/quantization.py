@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SAMPLES = 4096
+COMPARED_SAMPLES = 4096
 """Samples whose values are compared: of a converter with fewer levels two neighboring ones are certainly among them."""
 LEAST_STEP = 1e-6
 """Step over the largest value that counts: less may be the rounding of numbers of single precision."""
@@ -29,7 +29,7 @@ nearest threshold, it is q s / sqrt(pi); at s = 0.3 q both are equal."""
 
 def quantization_steps(samples: Array) -> Array:
     """Return the steps (m,) in which the columns of samples (n, m) were recorded: their least difference, if any."""
-    values = np.sort(samples[:SAMPLES], axis=0)
+    values = np.sort(samples[:COMPARED_SAMPLES], axis=0)
     difference = np.diff(values, axis=0)
     least = LEAST_STEP * np.max(np.abs(values), axis=0, initial=0.0)
     steps = np.min(np.where(difference > least, difference, np.inf), axis=0, initial=np.inf)
