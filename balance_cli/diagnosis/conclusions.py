@@ -102,7 +102,10 @@ def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_a
     improved = [name for name, errors in hold_out.items() if needs_update(errors, settings)]
     if improved and verdict == NOTHING_MISSING and diagnosis.effects:
         verdict = EXPLAINED
-        notes = (*notes, f"the loads of {', '.join(improved)} are right with the effects found only: they matter there")
+        notes = (
+            *notes,
+            f"the loads of {', '.join(improved)} are right only with the effects found: these matter",
+        )
     undescribed = [name for name, errors in hold_out.items() if not is_described(errors, settings)]
     if undescribed and verdict in (NOTHING_MISSING, EXPLAINED):
         # The fitted runs are described: what is missing acts in the hold-out runs alone.

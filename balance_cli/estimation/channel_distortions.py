@@ -106,6 +106,8 @@ def _distortion_at_rest(item: ChannelDistortion, reading: Array) -> float:
         return np.asarray(v - (values[0] * item.shape(v, values)).value)
 
     mean = linear(reading).mean()
+    if np.ptp(reading) == 0.0:  # a channel that is left out reads its zero throughout
+        return float(reading[0] - mean)
     at_rest = brentq(lambda v: linear(np.array([v]))[0] - mean, reading.min(), reading.max())
     return float(at_rest - mean)
 

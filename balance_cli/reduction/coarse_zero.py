@@ -11,6 +11,7 @@ from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.reduction.mean_loads import ZeroRecord
+from balance_cli.signals.quantization import is_on_grid
 
 Array = NDArray[np.float64]
 
@@ -18,8 +19,6 @@ MOST_SAMPLES = 65536
 """Samples of a record that show the steps of its converter."""
 SAMPLES_PER_VALUE = 10
 """Samples for each distinct value, at least: a converter that is not coarse hardly repeats one."""
-OFF_GRID = 0.05
-"""Of a step: departure of the values from multiples of it, by rounding to single precision."""
 
 
 def coarse_zero(zero: Run, record: Run, channel_names: Sequence[str]) -> ZeroRecord | None:
@@ -34,7 +33,7 @@ def coarse_zero(zero: Run, record: Run, channel_names: Sequence[str]) -> ZeroRec
     names = [name for name, extent in zip(names, np.ptp(quiet, axis=0), strict=True) if extent == 0.0]
     level, values = read_channels(zero, names)[0], read_channels(record, names, 0, min(MOST_SAMPLES, record.samples))
     steps = np.array([converter_step(column) for column in values.T])
-    if not level.any() or not np.all(steps > 0) or not np.all(_on_grid((level - values[0]) / steps)):
+    if not level.any() or not np.all(steps > 0) or not np.all(is_on_grid((level - values[0]) / steps)):
         return None
     return ZeroRecord(
         zero.name, tuple(names), level, steps**2 / 12.0, mean_temperature(zero), stated_gravity(zero.conditions)
@@ -56,8 +55,4 @@ def converter_step(values: Array) -> float:
         return 0.0
     gaps = np.diff(distinct)
     step = float(gaps.min())
-    return step if np.all(_on_grid(gaps / step)) else 0.0
-
-
-def _on_grid(multiples: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.abs(multiples - np.round(multiples)) < OFF_GRID)
+    return step if np.all(is_on_grid(gaps / step)) else 0.0

@@ -9,7 +9,7 @@ for the same readings, with its own response T at rest. A gauge that creeps, a g
 calibration and sweeps, or force cells of exciters that do not agree with the weights make them differ, and nobody knows
 which of the two holds in the wind-on run. A significant difference is in sigma of the mean loads.
 
-Compared is what is linear: the calibration's terms of higher order are zero at rest, and so are those of the model.
+Only linear terms are compared: those of higher order, of the calibration and of the model, have no slope without load.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def add_static_disagreement(
     note = (
         f"calibration and model differ at rest, the mean {name} by {difference[worst]:.2g} {UNIT_OF[name]} "
         f"({by_model:.5g} by the model): the differences are in sigma of the mean loads. Compare the weights with the "
-        "force cells of the exciters, and the gains of the channels then and now"
+        "force cells of the exciters, and check whether a gain was changed"
     )
     notes = "; ".join(filter(None, [loads.note, note]))
     return replace(loads, sigma=np.hypot(loads.sigma, difference), note=notes)

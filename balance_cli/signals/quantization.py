@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 COMPARED_SAMPLES = 4096
-"""Samples whose values are compared: of a converter with fewer levels two neighboring ones are certainly among them."""
+"""Samples whose values are compared: of a converter with fewer levels, neighboring ones are among them."""
 LEAST_STEP = 1e-6
 """Step over the largest value that counts: less may be the rounding of numbers of single precision."""
+OFF_GRID = 0.05
+"""Of a step: departure of the values from multiples of it, by rounding to single precision."""
 HARMONICS = 50
 """Harmonics of the saw-tooth: what is left of the sum is 1 % of it."""
 COARSE_SCATTER = 0.17
@@ -28,12 +30,22 @@ nearest threshold, it is q s / sqrt(pi); at s = 0.3 q both are equal."""
 
 
 def quantization_steps(samples: Array) -> Array:
-    """Return the steps (m,) in which the columns of samples (n, m) were recorded: their least difference, if any."""
+    """Return the steps (m,) in which the columns of samples (n, m) were recorded; zero where they are not even.
+
+    A step is the least difference of the values; that of a signal without steps is no divisor of the other ones.
+    """
     values = np.sort(samples[:COMPARED_SAMPLES], axis=0)
     difference = np.diff(values, axis=0)
     least = LEAST_STEP * np.max(np.abs(values), axis=0, initial=0.0)
     steps = np.min(np.where(difference > least, difference, np.inf), axis=0, initial=np.inf)
-    return np.where(np.isfinite(steps), steps, 0.0)
+    steps = np.where(np.isfinite(steps), steps, 0.0)
+    multiples = difference / np.where(steps > 0.0, steps, 1.0)
+    return np.where(np.all(is_on_grid(multiples), axis=0), steps, 0.0)
+
+
+def is_on_grid(multiples: Array) -> NDArray[np.bool_]:
+    """Return which values, in steps, are whole numbers to within the rounding of the record."""
+    return np.asarray(np.abs(multiples - np.round(multiples)) < OFF_GRID)
 
 
 def repeated_variance(steps: Array, scatter: Array) -> Array:

@@ -33,7 +33,8 @@ def test_steps_are_those_of_the_converter() -> None:
     np.testing.assert_allclose(quantization_steps(samples), steps, rtol=1e-6)
     np.testing.assert_allclose(quantization_steps(samples.astype(np.float32).astype(float)), steps, rtol=1e-3)
     assert quantization_steps(np.full((100, 1), 0.3)) == 0.0
-    assert quantization_steps(signal[:, None]) < 1e-4
+    for count in (4000, 200, 30):  # of a short period the least difference is no small one
+        assert quantization_steps(signal[:count, None]) == 0.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])

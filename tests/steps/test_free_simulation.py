@@ -176,7 +176,7 @@ def test_effects_that_a_check_run_needs_are_of_consequence(before, after, verdic
     errors = HoldOut(*(RunErrors({"My": error, "Fx": 0.0}, {}, 1e-4) for error in (before, after, 1e-4)))
     made = judge_hold_out(diagnosis(NOTHING_MISSING), {"check-1": errors})
     assert made.verdict == verdict
-    assert any("they matter there" in note for note in made.notes) == (verdict == EXPLAINED)
+    assert any("these matter" in note for note in made.notes) == (verdict == EXPLAINED)
 
 
 def test_a_run_that_the_model_does_not_describe_shows_that_something_is_missing():

@@ -64,7 +64,7 @@ def _squared_linear_reading(v: Array, values: Dual) -> Dual:
         raise np.linalg.LinAlgError("a channel reads what its nonlinearity does not let it read")
     s = np.sqrt(square_of_s)
     u = 2.0 * v / (1.0 + s)
-    return Dual(u * u, -(2.0 * u**2 * v / (s * (1.0 + s)) * 2.0) * values.derivative[:, :1])
+    return Dual(u * u, -(2.0 * u * u * u / s) * values.derivative[:, :1])
 
 
 EFFECT = Effect(
@@ -72,8 +72,8 @@ EFFECT = Effect(
     summary="The sensitivity of a channel changes with its reading, as that of a strain gauge bridge does.",
     validity="A nonlinearity of second order without memory, small beside the sensitivity itself; readings count from "
     "the unloaded rig.",
-    reference="ISO 376:2011 and VDI/VDE 2638 (relative linearity deviation of force transducers); Ulbrich and Volden, "
-    "Strain-Gage Balance Calibration Analysis, AIAA 2005-407 (quadratic terms).",
+    reference="AIAA R-091A-2020, Calibration and Use of Internal Strain-Gage Balances (terms of second "
+    "degree in the math model of a bridge).",
     signature="One channel has lines at sums and differences of the frequencies of its reading, twice each frequency "
     "among them, and another gain at another mean load.",
     separated_by="A static calibration in both directions: the same curvature beside a straight second channel of the "
