@@ -83,6 +83,8 @@ class UnmodelledModeSettings:
     """Resonances added at most: one for each direction."""
     max_rounds: int = 6
     """Rounds, each of which adds a resonance or an effect that one had hidden: as many effects as resonances."""
+    max_whole_fits: int = 3
+    """Frequencies from which a resonance is fitted where a search is stuck: each takes as long as a round."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from balance_cli.importers.base import (
     require_package,
 )
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import split_unit
+from balance_cli.io.units import split_quotient
 
 NAME = "Parquet"
 
@@ -46,7 +46,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         first, last = (int(np.searchsorted(ends, at, side="right")) - 1 for at in (start, stop - 1))
         return _read(path, [fields[k] for k in columns], range(first, last + 1), start - int(ends[first]), stop - start)
 
-    channels = tuple(ForeignChannel(name, unit or "") for name, unit in map(split_unit, fields))
+    channels = tuple(ForeignChannel(name, unit or "") for name, unit in map(split_quotient, fields))
     return ForeignFile(path, NAME, (ChannelGroup(channels, int(ends[-1]), read),))
 
 

@@ -11,7 +11,7 @@ from balance_cli.importers.text_clock import CLOCK
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import REMARKS
 from balance_cli.io.text_numbers import is_missing, is_number
-from balance_cli.io.units import is_unit, split_unit
+from balance_cli.io.units import is_unit, split_quotient
 
 UNIT_SHARE = 0.5
 """Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""
@@ -52,7 +52,7 @@ def names_and_units(header: Rows, data: Rows, layout: TextLayout) -> tuple[tuple
         names = _completed(names, above)
     units = _padded(rows, unit_row, width, shift if unit_row is not None and len(rows[unit_row]) < width else 0)
     units = ["", *units[1:]] if is_keyed else units
-    pairs = [split_unit(name.lstrip("#").strip()) for name in names]
+    pairs = [split_quotient(name.lstrip("#").strip()) for name in names]
     if not layout.name_row:
         pairs = _distinguished(pairs, above)
     shown = tuple(name if any(names) else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
@@ -118,7 +118,7 @@ def _distinguished(pairs: list[tuple[str, str | None]], above: Rows) -> list[tup
     for row in above:
         cells = [row[k] for k in equal]
         if len(set(cells)) == len(cells) and not any(_is_value(cell) for cell in cells):
-            own = dict(zip(equal, (split_unit(cell) for cell in cells), strict=True))
+            own = dict(zip(equal, (split_quotient(cell) for cell in cells), strict=True))
             units = [unit or own.get(k, ("", None))[1] for k, (_, unit) in enumerate(pairs)]
             return [(own[k][0] if k in own else names[k], unit) for k, unit in enumerate(units)]
     return pairs

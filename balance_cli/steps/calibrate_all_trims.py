@@ -64,7 +64,7 @@ def fit_all_trims(
         points,
         reading_units=tuple(units[name] for name in names),
         declared_response=_declared_response(geometry, names),
-        plate_response=_plate_response(geometry, names),
+        plate_response=plate_response(geometry, names),
         repeat_scatter=repeat_scatter(members.rows, names),
         check_points=np.concatenate([rows.is_check for rows in members.rows]),
     )
@@ -121,11 +121,12 @@ def _declared_response(geometry: Geometry, channel_names: Sequence[str]) -> Arra
     return np.asarray(T[rows] @ load_components(geometry).to_hub.T)
 
 
-def _plate_response(geometry: Geometry, channel_names: Sequence[str]) -> Array | None:
+def plate_response(geometry: Geometry, channel_names: Sequence[str]) -> Array | None:
     """Response (c, k) [V/(N m)] to a moment on the plate about each shaft with a torque meter, NaN elsewhere.
 
     The meters do not read it. The cells read it as the moment of the hub where the plate carries the drive (NaN), and
-    else as those of the declared plate without a shaft. None without a shaft, or where the mechanics are not declared.
+    else as those of the declared plate without a shaft: not at all, where the plate cannot turn about it. None without
+    a shaft, or where the mechanics are not declared.
     """
     shaft = {meter.component: meter.carried_by for meter in geometry.shaft_meters}
     components = load_components(geometry).names
@@ -135,13 +136,14 @@ def _plate_response(geometry: Geometry, channel_names: Sequence[str]) -> Array |
     cells = [name for name in channel_names if name not in of_meter]
     rest = tuple(channel for channel in geometry.channels if not channel.torque_meter)
     plate = geometry.model_copy(update={"torque_meter": None, "torque_meters": None, "channels": rest})
-    declared = _declared_response(plate, cells)
+    declared, of_plate = _declared_response(plate, cells), load_components(plate).names
     result = np.full((len(channel_names), len(components)), np.nan)
     for name in shaft.keys() & set(components):
         j = components.index(name)
         result[[channel_names.index(meter) for meter in of_meter if meter in channel_names], j] = 0.0
         if shaft[name] == "ground" and declared is not None:
-            result[[channel_names.index(cell) for cell in cells], j] = declared[:, j]
+            read = declared[:, of_plate.index(name)] if name in of_plate else 0.0
+            result[[channel_names.index(cell) for cell in cells], j] = read
     return result
 
 

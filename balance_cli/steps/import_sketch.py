@@ -104,9 +104,15 @@ def _is_tachometer(channel: ForeignChannel) -> bool:
 
 def _of_other_length(file: ForeignFile, time: ForeignChannel | None) -> list[ForeignChannel]:
     """Return the channels that the times of a file cannot belong to: spectra and correlations beside a record."""
-    lengths = [group.samples for group in file.groups if any(channel is time for channel in group.channels)]
-    groups = [group for group in file.groups if lengths and group.rate is None and group.time is None]
-    return [channel for group in groups if group.samples != lengths[0] for channel in group.channels]
+    rows = [group for group in file.groups if any(channel is time for channel in group.channels)]
+    groups = [group for group in file.groups if rows and group.rate is None and group.time is None]
+    # Channels of a lower rate have samples in every so many rows of the times.
+    return [
+        channel
+        for group in groups
+        if group.stride == 1 and group.samples != rows[0].samples
+        for channel in group.channels
+    ]
 
 
 def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time: ForeignChannel | None) -> None:

@@ -10,7 +10,7 @@ from balance_cli.importers.base import ChannelGroup, ForeignChannel, ForeignFile
 from balance_cli.importers.time_axis import TimeAxis, read_time_axis
 from balance_cli.importers.time_columns import TIME_NAME
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import TIME, Unit, parse_unit
+from balance_cli.io.units import TIME, Unit, can_be_unit_of, is_unit, parse_unit
 
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
 UNNAMED = ("column 1", "X", "x")
@@ -25,23 +25,33 @@ def _last_name(channel: ForeignChannel) -> str:
 
 
 def time_channel(file: ForeignFile) -> ForeignChannel | None:
-    """Return the first channel with the name of a time, and with a value."""
-    for group in file.groups:
-        for column, channel in enumerate(group.channels):
-            is_time = not group.unusable and _names_time(channel, column)
-            if is_time and group.samples and np.isfinite(group.read([column], 0, 1)).all():
-                return channel
-    return None
+    """Return the first channel with the name of a time, and with a value; one in a unit of time before others."""
+    found = [
+        channel
+        for group in file.groups
+        for column, channel in enumerate(group.channels)
+        if not group.unusable and _names_time(channel, column, group.rate is not None)
+        if group.samples and np.isfinite(group.read([column], 0, 1)).all()
+    ]
+    # A thrust or a torque is called `T`, too.
+    return min(found, key=lambda channel: (not _in_unit_of_time(channel), len(_last_name(channel)) == 1), default=None)
 
 
-def _names_time(channel: ForeignChannel, column: int) -> bool:
+def _in_unit_of_time(channel: ForeignChannel) -> bool:
+    return bool(channel.unit) and can_be_unit_of(channel.unit, TIME)
+
+
+def _names_time(channel: ForeignChannel, column: int, has_rate: bool) -> bool:
     """Whether a channel has the name of a time, or two of: a name that begins so, a unit of time, the first column.
 
-    Oscilloscopes call their times `X`, in `Second`.
+    Oscilloscopes call their times `X`, in `Second`. No time is what is stated in another unit, or beside the rate of
+    its samples in none.
     """
+    has_unit = _in_unit_of_time(channel)
+    if not has_unit and (has_rate or is_unit(channel.unit)):
+        return False
     if _last_name(channel) in TIME_NAMES:
         return True
-    has_unit = bool(unit_of(channel.unit, TIME))
     if column == 0 and has_unit:
         return True
     return bool(TIME_NAME.match(channel.name)) and (has_unit or (not channel.unit and column == 0))

@@ -81,6 +81,7 @@ def test_a_state_that_no_restart_has_improved_is_not_restarted_again(monkeypatch
     stuck = SearchState(model, model.parameters.value, {"sweep-Fz": 0.1}, 0.0, 0.0)
     monkeypatch.setattr(search, "fit_until_stable", lambda *_: stuck)
     monkeypatch.setattr(search, "search_round", lambda *_: RoundResult(None))
+    monkeypatch.setattr(search, "add_resonance_by_whole_fit", lambda *_: (None, ()))
     monkeypatch.setattr(search, "restart_if_better", lambda state, *_: restarted.append(state))
     result = search.search(stuck, SearchLines((), ()), lambda what: False, (), tuple, (), DEFAULT_SETTINGS)
     assert result.state is stuck

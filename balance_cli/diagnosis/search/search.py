@@ -18,6 +18,7 @@ from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.set_ups import add_set_ups_by_whole_fit
 from balance_cli.diagnosis.search.trials import last_round
+from balance_cli.diagnosis.search.unmodelled_modes import add_resonance_by_whole_fit
 from balance_cli.diagnosis.search.whole_fits import add_all_by_whole_fit, add_body_by_whole_fit, add_by_whole_fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.io.percent import percent_text
@@ -118,14 +119,12 @@ def _add_effects(
 
     Where the first one leaves a large error, those `of_set_ups` are tried in its place, all at once.
     """
-    limits, stuck = settings.rounds, False
-    base, first = result.state, len(result.trials)
-    tried: SearchState | None = None
+    limits, stuck, sought = settings.rounds, False, False
+    base, first, tried = result.state, len(result.trials), None
     for number in range(first_round, first_round + limits.max_effects):
         state = result.state
-        if state.error < limits.small_error:
-            break
-        if announce(f"search, round {number}: model error {percent_text(state.error)} %"):
+        stage = f"search, round {number}: model error {percent_text(state.error)} %"
+        if state.error < limits.small_error or announce(stage):
             break
         added = search_round(state, lines, number, candidates(state.geometry, excluded=settings.excluded), settings)
         result = result.add(added.state or state, added.trials, added.alternatives)
@@ -136,10 +135,14 @@ def _add_effects(
             if found is not None:
                 continue
         if not stuck and _is_slow(state, added.state, settings):
-            restarted = restart_if_better(result.state, lines, settings)
-            stuck, tried = restarted is None, result.state
-            if restarted is not None:
-                result = replace(result, state=restarted)
+            better = None if sought else _describe_by_resonance(base, result, first, lines, number, settings)
+            sought = True
+            if better is None:
+                restarted = restart_if_better(result.state, lines, settings)
+                stuck, tried = restarted is None, result.state
+                better = None if restarted is None else replace(result, state=restarted)
+            if better is not None:
+                result = better
                 continue
         elif added.state is not None:
             stuck = False
@@ -148,6 +151,19 @@ def _add_effects(
     if result.state.error > limits.large_error and result.state is not tried:
         result = replace(result, state=restart_if_better(result.state, lines, settings) or result.state)
     return result
+
+
+def _describe_by_resonance(
+    base: SearchState, result: SearchResult, first: int, lines: SearchLines, number: int, settings: SearchSettings
+) -> SearchResult | None:
+    """The result with one resonance in place of all that was accepted from trial `first` on, after `base`.
+
+    None where little is missing, or where no resonance describes all.
+    """
+    if result.state.error <= settings.rounds.stuck_error:
+        return None
+    state, trials = add_resonance_by_whole_fit(base, result.state, lines, number, settings)
+    return None if state is None else result.supersede(first).add(state, trials, {})
 
 
 def _is_slow(before: SearchState, after: SearchState | None, settings: SearchSettings) -> bool:

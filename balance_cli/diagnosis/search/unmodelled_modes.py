@@ -18,10 +18,11 @@ from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
 from balance_cli.diagnosis.search.extended_models import extend_model
-from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
-from balance_cli.diagnosis.search.rounds import search_round
+from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fit_with_candidate
+from balance_cli.diagnosis.search.rounds import rank_candidates, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.search.trials import refit_trial
+from balance_cli.diagnosis.search.whole_fits import describes_more, whole_fit_trial
 from balance_cli.diagnosis.settings import SearchSettings, UnmodelledModeSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import evaluate_batch
@@ -91,6 +92,31 @@ def _add_modes(
         modes += is_mode
         state = move_to_best_places(added.state, lines, settings.fit) if is_mode else added.state
     return state, tuple(trials)
+
+
+def add_resonance_by_whole_fit(
+    base: SearchState, current: SearchState, lines: SearchLines, number: int, settings: SearchSettings
+) -> tuple[SearchState | None, tuple[Trial, ...]]:
+    """Return the state `base` with one resonance that describes it all, as `whole_fits.add_body_by_whole_fit`.
+
+    Beside two close modes of the plate, whose order a resonance exchanges, its score and first steps from `base` lead
+    into a wrong minimum, and the rounds up to `current` take what is not there. None where the resonance leaves a
+    large error. Trials have this round `number`.
+    """
+    pool = unmodelled_mode_candidates(base, lines.fitted, settings.modes, settings.excluded)
+    trials: list[Trial] = []
+    for start in pool[0].starts[: settings.modes.max_whole_fits] if pool else ():
+        if settings.fit.is_over:
+            break
+        at_peak = [replace(item, starts=(start,)) for item in pool]
+        best = rank_candidates(base, lines, at_peak, settings)[0].candidate
+        end = fit_with_candidate(base, best, lines, settings.fit)
+        accepted = end.error <= settings.rounds.large_error and describes_more(end, current, settings)
+        cost = settings.parameter_cost * (len(end.theta) - len(base.theta))
+        trials.append(whole_fit_trial(best.label, base.fit_criterion - end.fit_criterion - cost, accepted, number))
+        if accepted:
+            return move_to_best_places(end, lines, settings.fit), tuple(trials)
+    return None, tuple(trials)
 
 
 def _pool(state: SearchState, lines: SearchLines, modes: int, settings: SearchSettings) -> tuple[Candidate, ...]:
