@@ -28,6 +28,13 @@ FORMATS = ("tdms", "mdf", "mat", "hdf5", "wav", "parquet", "uff", "text")
 """Modules in the order in which they are asked. A file of MATLAB 7.3 is also one of HDF5, and any other file may be
 text."""
 
+OTHER_FILES = {
+    b"\x1f\x8b": ("compressed by gzip", "Unpack it first, by gunzip"),
+    b"ARROW1": ("a Feather file", "Save it as Parquet"),
+    b"FEA1": ("a Feather file", "Save it as Parquet"),
+}
+"""What a file is that begins so and is not imported, and what helps."""
+
 
 def open_foreign(path: Path, layout: TextLayout | None = None) -> ForeignFile:
     """Open a file of another program by its content. Raises UserError where no format fits, or it is damaged."""
@@ -58,5 +65,8 @@ def _format_of(path: Path, head: bytes) -> Format:
         module = cast(Format, importlib.import_module(f"{__name__}.{name}"))
         if module.sniff(path, head):
             return module
+    for mark, (kind, remedy) in OTHER_FILES.items():
+        if head.startswith(mark):
+            raise UserError(f"is {kind}", remedy=remedy)
     known = "CSV or other text, UFF 58, TDMS, MDF4, MAT, HDF5, WAV and Parquet"
     raise UserError("is of no format that can be imported", remedy=f"Export it as one of {known}")

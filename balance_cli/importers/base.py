@@ -27,11 +27,13 @@ class ForeignChannel:
     """A channel as its file names it; `unit` is empty where the file states none.
 
     `label`: what the file calls the signal, where `name` is the place of its samples (`rec.Y[3].Data`); else empty.
+    `scale`: numbers beside integers that may convert them (`gain 0.01, offset 1`), and are not applied; else empty.
     """
 
     name: str
     unit: str = ""
     label: str = ""
+    scale: str = ""
 
     @property
     def signal(self) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,9 @@ from balance_cli.importers.base import (
     damage_error,
     select_columns,
 )
+from balance_cli.importers.matlab_members import CLASS, EMPTY, StoredMember, stored_members, text_of
 from balance_cli.importers.matrices import scalar_of
+from balance_cli.importers.stored_scales import numbers_beside, stated_scale
 from balance_cli.importers.time_columns import TIME_NAME
 from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
@@ -41,6 +44,8 @@ MISSING_ATTRIBUTES = ("_FillValue", "missing_value")
 SINCE = re.compile(r"^(\w+?)s? since ")
 """The unit of times of netCDF: `seconds since 2024-03-12`."""
 SINCE_UNITS = {"second": "s", "millisecond": "ms", "microsecond": "us", "minute": "min", "hour": "h"}
+NUMBERS = "iufb"
+"""Kinds of numpy types that hold real numbers."""
 MATLAB_HIDDEN = ("#refs#", "#subsystem#")
 
 
@@ -54,7 +59,8 @@ class _Listed:
     """A dataset of the file: its path, its name as shown, shape, names and units of its columns, sample rate [Hz].
 
     `rate_of` is the path of what states the rate. A value is `factor` times the stored one plus `offset`; stored
-    numbers in `missing` are none. `field` is the column of a table of named columns.
+    numbers in `missing` are none. `field` is the column of a table of named columns, `label` what the signal is called.
+    `kind` is that of the stored numbers (numpy), `scale` and `unusable` are as in channels and groups.
     """
 
     path: str
@@ -64,10 +70,14 @@ class _Listed:
     units: tuple[str, ...]
     rate: float | None
     rate_of: str = ""
+    label: str = ""
     factor: float = 1.0
     offset: float = 0.0
     missing: tuple[float, ...] = ()
     field: str | None = None
+    kind: str = "f"
+    scale: str = ""
+    unusable: str = ""
 
 
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
@@ -75,7 +85,8 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     listed, scalars, recorded = _list_datasets(path)
     if not listed:
         raise UserError("has no dataset of numbers with samples", remedy="Save the records as datasets")
-    return ForeignFile(path, NAME, tuple(_group(path, item) for item in listed), recorded=recorded, scalars=scalars)
+    scaled = [_with_scale_beside(item, scalars) for item in listed]
+    return ForeignFile(path, NAME, tuple(_group(path, item) for item in scaled), recorded=recorded, scalars=scalars)
 
 
 @read_in_child
@@ -86,15 +97,21 @@ def _list_datasets(path: Path) -> tuple[list[_Listed], dict[str, float], str | N
     listed: list[_Listed] = []
     scalars: dict[str, float] = {}
 
+    found: dict[str, Any] = {}
+
     def visit(name: str, item: Any) -> None:
         if keeps_values_elsewhere(item):
             raise UserError("has its values in another file", place=name, remedy="Write them into this file")
-        if isinstance(item, h5py.Dataset) and not name.startswith(MATLAB_HIDDEN) and len(listed) < MOST_DATASETS:
-            _add(name, item, listed, scalars)
+        if isinstance(item, h5py.Dataset) and not name.startswith(MATLAB_HIDDEN) and len(found) < MOST_DATASETS:
+            found[name] = item
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
+            is_matlab = any(CLASS in item.attrs for item in found.values())
+            members = _variables(file) if is_matlab else (StoredMember(name, item) for name, item in found.items())
+            for member in islice(members, MOST_DATASETS):
+                _add(member, listed, scalars)
             return _with_own_rates(listed), scalars, attribute_text(file.attrs.get("recorded"))
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise damage_error(error) from error
@@ -111,27 +128,56 @@ def _with_own_rates(listed: Sequence[_Listed]) -> list[_Listed]:
     ]
 
 
-def _add(name: str, item: Any, listed: list[_Listed], scalars: dict[str, float]) -> None:
+def _variables(file: Any) -> Iterator[StoredMember]:
+    """The members of all variables of MATLAB."""
+    for name, item in file.items():
+        if name not in MATLAB_HIDDEN:
+            yield from stored_members(name, item)
+
+
+def _add(member: StoredMember, listed: list[_Listed], scalars: dict[str, float]) -> None:
+    shown, item = member.name, member.item
     shape = tuple(item.shape or ())
-    is_matlab = "MATLAB_class" in item.attrs
-    is_text = is_matlab and _is_text(item)
-    if item.dtype.names and len(shape) == 1 and shape[0] > 1 and not is_matlab:
-        listed += [_listed(name, item, f"{name}.{field}", field) for field in _number_fields(item.dtype)]
-    if item.dtype.kind not in "iufb" or len(shape) > 2 or is_text or "MATLAB_empty" in item.attrs or _is_index(item):
+    is_table = item.dtype.names and len(shape) == 1 and shape[0] > 1 and CLASS not in item.attrs
+    if is_table:
+        listed += [_listed(member, f"{shown}.{field}", field) for field in _number_fields(item.dtype)]
+        listed += [
+            replace(_listed(member, f"{shown}.{field}", field), unusable="an array in each row of a table")
+            for field in item.dtype.names
+            if item.dtype[field].shape != ()
+        ]
+    if text_of(item) or EMPTY in item.attrs or _is_index(item):
         return
-    shown = name.replace("/", ".") if is_matlab else name
     size = int(np.prod(shape)) if shape else 1
-    if size == 1:
+    reason = _unusable(item)
+    if reason and size > 1:
+        listed.append(replace(_listed(member, shown), names=(shown,), units=("",), unusable=reason))
+    elif item.dtype.kind not in NUMBERS:
+        return
+    elif size == 1:
         value = scalar_of(item[()])
         if value is not None:
             scalars[shown] = value
     elif size > 1:
-        listed.append(_listed(name, item, shown))
+        listed.append(_listed(member, shown))
+
+
+def _unusable(item: Any) -> str:
+    """Why an array of numbers is no record in time; empty where it is one, and of texts."""
+    if item.dtype.kind == "c" or {"real", "imag"} == set(item.dtype.names or ()):
+        return "complex numbers"
+    return f"an array of {len(item.shape)} dimensions" if item.dtype.kind in NUMBERS and len(item.shape) > 2 else ""
+
+
+def _with_scale_beside(listed: _Listed, scalars: dict[str, float]) -> _Listed:
+    """With the numbers that convert it, its own or those in the group that holds it."""
+    beside = listed.kind in "iu" and not listed.unusable and numbers_beside(listed.shown, scalars)
+    return replace(listed, scale=listed.scale or stated_scale(beside)) if beside else listed
 
 
 def _number_fields(dtype: Any) -> list[str]:
     """The columns of numbers in a table of named columns."""
-    return [field for field in dtype.names if dtype[field].kind in "iufb" and dtype[field].shape == ()]
+    return [field for field in dtype.names if dtype[field].kind in NUMBERS and dtype[field].shape == ()]
 
 
 def _is_index(item: Any) -> bool:
@@ -141,30 +187,32 @@ def _is_index(item: Any) -> bool:
     return (is_scale and not is_time) or re.search(r"/axis\d+$", item.name) is not None
 
 
-def _listed(name: str, item: Any, shown: str, field: str | None = None) -> _Listed:
+def _listed(member: StoredMember, shown: str, field: str | None = None) -> _Listed:
+    item = member.item
     shape = tuple(item.shape)
     count = 1 if len(shape) == 1 else min(shape)
-    units = _texts(item, UNIT_ATTRIBUTES)
+    units = _texts(item, UNIT_ATTRIBUTES) or ((member.unit,) if member.unit else ())
     units = units * count if len(units) == 1 else units if len(units) == count else ("",) * count
     units = tuple(SINCE_UNITS.get(match[1], unit) if (match := SINCE.match(unit)) else unit for unit in units)
     rate, holder = _rate(item)
+    kind = item.dtype.kind if field is None else item.dtype[field].kind
     scale = {key: scalar_of(item.attrs[key]) for key in ("scale_factor", "add_offset") if key in item.attrs}
+    others = {key: scalar_of(value) for key, value in item.attrs.items() if key not in scale} if kind in "iu" else {}
     missing = [scalar_of(item.attrs[key]) for key in MISSING_ATTRIBUTES if key in item.attrs]
     return _Listed(
-        *(name, shown, shape, _column_names(item, shown, count), units, rate, holder),
+        *(item.name.lstrip("/"), shown, shape, _column_names(item, shown, count), units, rate, holder),
+        label=member.label if count == 1 else "",
         factor=scale.get("scale_factor") or 1.0,
         offset=scale.get("add_offset") or 0.0,
         missing=tuple(value for value in missing if value is not None and np.isfinite(value)),
         field=field,
+        scale=stated_scale({key: value for key, value in others.items() if value is not None}),
+        kind=kind,
     )
 
 
-def _is_text(item: Any) -> bool:
-    return attribute_text(item.attrs["MATLAB_class"]) == "char"
-
-
 def _group(path: Path, listed: _Listed) -> ChannelGroup:
-    shape, name = listed.shape, listed.path
+    shape, path_in_file = listed.shape, listed.path
     by_columns = len(shape) == 1 or shape[0] >= shape[1]
 
     def read(columns: Sequence[int], start: int, stop: int) -> Array:
@@ -172,17 +220,19 @@ def _group(path: Path, listed: _Listed) -> ChannelGroup:
 
         try:
             with h5py.File(path, "r") as file:
-                dataset = file[name] if listed.field is None else file[name].fields(listed.field)
+                dataset = file[path_in_file]
+                dataset = dataset if listed.field is None else dataset.fields(listed.field)
                 if len(shape) == 1:
                     part = dataset[start:stop][:, None]
                 else:
                     part = dataset[start:stop] if by_columns else dataset[:, start:stop].T
                 return _values(select_columns(part, columns), listed)
         except (OSError, RuntimeError, KeyError, ValueError) as error:
-            raise damage_error(error).with_location(file=str(path), place=name) from error
+            raise damage_error(error).with_location(file=str(path), place=path_in_file) from error
 
-    channels = tuple(ForeignChannel(*pair) for pair in zip(listed.names, listed.units, strict=True))
-    return ChannelGroup(channels, max(shape), read, listed.rate)
+    pairs = zip(listed.names, listed.units, strict=True)
+    channels = tuple(ForeignChannel(name, unit, listed.label, listed.scale) for name, unit in pairs)
+    return ChannelGroup(channels, max(shape), read, listed.rate, unusable=listed.unusable)
 
 
 def _values(stored: Array, listed: _Listed) -> Array:

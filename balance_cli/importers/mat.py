@@ -14,6 +14,7 @@ from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, Fore
 from balance_cli.importers.mat_elements import examine_elements
 from balance_cli.importers.mat_members import members
 from balance_cli.importers.matrices import matrix_group, scalar_of
+from balance_cli.importers.stored_scales import with_scale_beside
 from balance_cli.io.errors import UserError
 
 NAME = "MAT"
@@ -51,21 +52,34 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     load = cache(lambda name: _load(path, name))  # a compressed variable can only be read whole
     groups: list[ChannelGroup] = []
     scalars: dict[str, float] = {}
+    integers: set[str] = set()
     for name, shape, kind in listed:
         if name.startswith("__"):
             continue  # what MATLAB keeps for itself, such as the workspace of functions
         is_matrix = kind in NUMERIC_CLASSES and len(shape) == 2
         if is_matrix and max(shape) > 1 and min(shape) > 0:
             groups.append(_lazy_group(name, shape, load))
+        elif kind in NUMERIC_CLASSES and len(shape) > 2:
+            groups.append(_unusable(path, name, shape))
         elif kind in ("struct", "cell") or (is_matrix and shape == (1, 1)):
             for member in members(name, load(name)):
                 if (value := scalar_of(member.values)) is not None:
                     scalars[member.name] = value
                 elif (group := matrix_group(*member)) is not None:
                     groups.append(group)
+                    integers |= set(group.names) if np.asarray(member.values).dtype.kind in "iu" else set()
     if not groups:
         raise UserError("has no matrix of numbers with samples", remedy="Save the records as matrices or vectors")
-    return ForeignFile(path, NAME, tuple(groups), scalars=scalars)
+    return ForeignFile(path, NAME, tuple(with_scale_beside(groups, integers, scalars)), scalars=scalars)
+
+
+def _unusable(path: Path, name: str, shape: tuple[int, ...]) -> ChannelGroup:
+    """An array that is listed and cannot be read as a record in time."""
+
+    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+        raise UserError("is no matrix", str(path), f"variable {name}", "Leave it out of the map")
+
+    return ChannelGroup((ForeignChannel(name),), shape[0], read, unusable=f"an array of {len(shape)} dimensions")
 
 
 def _load(path: Path, name: str) -> Any:

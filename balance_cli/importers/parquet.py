@@ -32,12 +32,11 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the columns of numbers; a unit in brackets behind a name is its unit."""
     parquet, types = (require_package(f"pyarrow.{part}", NAME, "pyarrow") for part in ("parquet", "types"))
     with errors_as_damage(), parquet.ParquetFile(path) as file:
-        fields = [
-            field.name
-            for field in file.schema_arrow
-            if types.is_integer(field.type) or types.is_floating(field.type) or types.is_timestamp(field.type)
-        ]
+        read_types = (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean, types.is_temporal)
+        is_number = {field.name: any(is_type(field.type) for is_type in read_types) for field in file.schema_arrow}
+        kinds = {field.name: str(field.type) for field in file.schema_arrow}
         rows = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
+    fields = [name for name, is_read in is_number.items() if is_read]
     if not fields or sum(rows) < 2:
         raise UserError("has no columns of numbers with samples", remedy="Save one column for each channel")
     ends = np.cumsum([0, *rows])
@@ -47,7 +46,12 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         return _read(path, [fields[k] for k in columns], range(first, last + 1), start - int(ends[first]), stop - start)
 
     channels = tuple(ForeignChannel(name, unit or "") for name, unit in map(split_quotient, fields))
-    return ForeignFile(path, NAME, (ChannelGroup(channels, int(ends[-1]), read),))
+    others = (
+        ChannelGroup((ForeignChannel(name),), int(ends[-1]), read, unusable=f"of type {kinds[name]}")
+        for name, is_read in is_number.items()
+        if not is_read
+    )
+    return ForeignFile(path, NAME, (ChannelGroup(channels, int(ends[-1]), read), *others))
 
 
 def _read(path: Path, names: Sequence[str], row_groups: Sequence[int], start: int, count: int) -> Array:
@@ -60,8 +64,14 @@ def _read(path: Path, names: Sequence[str], row_groups: Sequence[int], start: in
 
 
 def _numbers(column: Any) -> Array:
-    """A column as numbers, missing values as NaN, time stamps as seconds from 1970."""
+    """A column as numbers, missing values as NaN, time stamps as seconds from 1970, durations and times as seconds."""
+    import pyarrow
+
+    if pyarrow.types.is_decimal(column.type):
+        column = column.cast(pyarrow.float64())
+    elif pyarrow.types.is_time(column.type):
+        column = column.cast(pyarrow.time64("ns")).cast(pyarrow.int64()).cast(pyarrow.duration("ns"))
     values = column.to_numpy()
     if values.dtype.kind == "M":
-        return np.asarray((values - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
-    return np.asarray(values, np.float64)
+        values = values - np.datetime64(0, "s")
+    return np.asarray(values / np.timedelta64(1, "s") if values.dtype.kind == "m" else values, np.float64)

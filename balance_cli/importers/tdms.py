@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from balance_cli.importers.base import (
     errors_as_damage,
     require_package,
 )
+from balance_cli.importers.stored_scales import stated_scale
 from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 
@@ -52,14 +54,26 @@ def _facts(channel: Any) -> dict[str, Any]:
     properties = channel.properties
     begin = properties.get("wf_start_time")
     step = properties.get("wf_increment")
+    kind = np.dtype(channel.dtype).kind if channel.dtype is not None else ""
     return {
         "samples": len(channel),
         "unit": str(properties.get("unit_string", "") or ""),
         "rate": whole_rate(1.0 / float(step)) if step and float(step) > 0 else None,
         "begin": begin if isinstance(begin, np.datetime64) and _is_set(begin) else None,
         "offset": float(properties.get("wf_start_offset", 0.0) or 0.0),
-        "kind": np.dtype(channel.dtype).kind if channel.dtype is not None else "",
+        "kind": kind,
+        # Scales of NI are applied in reading, which makes floating numbers of integers.
+        "scale": stated_scale(_numbers(properties)) if kind in ("i", "u") else "",
     }
+
+
+def _numbers(properties: Mapping[str, Any]) -> dict[str, float]:
+    """The properties that are numbers, or texts that hold one."""
+    numbers = {}
+    for name, value in properties.items():
+        with suppress(ValueError, TypeError):
+            numbers[name] = float(value)
+    return numbers
 
 
 def _is_set(time: np.datetime64) -> bool:
@@ -84,7 +98,15 @@ class _OpenFile:
     def read(self, group: str, name: str, start: int, stop: int) -> Array:
         """Samples start to stop of a channel."""
         with errors_as_damage(self.path, name):
-            return np.asarray(self._file[group][name].read_data(start, stop - start), np.float64)
+            return _as_numbers(self._file[group][name].read_data(start, stop - start))
+
+
+def _as_numbers(values: Any) -> Array:
+    """Values as numbers, time stamps as seconds from 1970."""
+    array = np.asarray(values)
+    if array.dtype.kind == "M":
+        return np.asarray((array - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
+    return np.asarray(array, np.float64)
 
 
 def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:
@@ -94,8 +116,9 @@ def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], orig
     start = facts["offset"]
     if facts["begin"] is not None:
         start += float((facts["begin"] - origin) / np.timedelta64(1, "us")) * 1e-6
-    unusable = "" if facts["kind"] in ("i", "u", "f", "b") else "text, times or complex numbers"
+    unusable = "" if facts["kind"] in ("i", "u", "f", "b", "M") else "text or complex numbers"
     if facts["samples"] < 2:
         unusable = "without samples"
-    channel = ForeignChannel(f"{group}/{name}" if several else name, facts["unit"])
+    facts = {**facts, "unit": "s"} if facts["kind"] == "M" else facts
+    channel = ForeignChannel(f"{group}/{name}" if several else name, facts["unit"], scale=facts["scale"])
     return ChannelGroup((channel,), facts["samples"], read, facts["rate"], start, unusable)

@@ -34,6 +34,8 @@ COLUMN_CLOCKS = ("delta_x", "dx", "x0")
 """First cells of rows with the step or the start of each column, in lower case without a colon."""
 COMMENTS = ("comment", "comments", "remark", "kommentar", "bemerkung")
 """Names of columns that are no channels where they are empty: LabVIEW writes one in every file."""
+MOST_FOOTER_ROWS = 10
+"""Rows below a table that are looked through for its end."""
 MOST_COLUMNS, LEAST_SHAPE = 100, 0.1
 """A table of more columns with fewer rows for each has the channels in its rows: no logger writes it otherwise."""
 
@@ -108,18 +110,35 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
 
 def _choose_separators(lines: Sequence[str], layout: TextLayout) -> tuple[str, str, int]:
     """Separator, decimal sign and first row of numbers, as they are stated or as they give the best table."""
+    found = _best_table(lines, layout)
+    if found is None:
+        _require_data_to_the_end(lines, layout)
+        raise UserError("has no columns of numbers", remedy="State `separator`, `decimal` and `first_row` under `text`")
+    return found
+
+
+def _best_table(lines: Sequence[str], layout: TextLayout) -> tuple[str, str, int] | None:
+    """Separator, decimal sign and first row of the best table; None where there is none."""
     stated = re.match(r"^sep=(.)$", lines[0]) if lines else None
     separator = layout.separator or (stated[1] if stated else None)
     choices = [
         _lay_out(lines, separator, decimal, layout)
         for separator in ([separator] if separator else SEPARATORS)
         for decimal in ([layout.decimal] if layout.decimal else [".", ","])
-        if separator != decimal
+        # In quotes a number may have the separator as its decimal sign.
+        if separator != decimal or any('"' in line for line in lines[-1:])
     ]
     best = max((choice for choice in choices if choice), key=lambda choice: choice[0], default=None)
-    if best is None:
-        raise UserError("has no columns of numbers", remedy="State `separator`, `decimal` and `first_row` under `text`")
-    return best[1:]
+    return None if best is None else best[1:]
+
+
+def _require_data_to_the_end(lines: Sequence[str], layout: TextLayout) -> None:
+    """Raise UserError, with the row, where a table is followed by other rows: a footer, statistics of the columns."""
+    filled = [k for k, line in enumerate(lines) if line.strip()]
+    for last, below in itertools.pairwise(filled[: -2 - MOST_FOOTER_ROWS : -1]):
+        if _best_table(lines[: below + 1], layout) is not None:
+            fault = f"`{lines[last].strip()[:40]}` is no row of numbers like those above"
+            raise UserError(fault, place=f"row {last + 1}", remedy="Remove what stands below the data")
 
 
 def _without_sample_numbers(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +13,8 @@ from balance_cli.importers.written_times import read_written_times
 from balance_cli.io.errors import UserError
 
 BLOCK = 2**17
+DAY = 86400.0
+"""[s]"""
 LARGEST_SCATTER = 0.6
 """Steps by which a time may be off the straight line through all: times that are rounded to half a step are equal
 steps, a missing or a repeated sample shifts those behind it by a whole one."""
@@ -46,9 +50,38 @@ class TimeAxis:
 def read_time_axis(read: ReadBlock, samples: int, factor: float = 1.0) -> TimeAxis:
     """Fit equal steps to the times in column 0; `factor` makes seconds of them.
 
-    The straight line is that of least squares, which averages rounded times. Raises UserError, with the row, where
-    times are missing, do not increase or are not even.
+    The straight line is that of least squares, which averages rounded times. Times of day without dates may pass
+    midnight. Raises UserError, with the row, where times are missing, do not increase or are not even.
     """
+    try:
+        return _even_times(read, samples, factor)
+    except UserError as error:
+        # A record of a minute passes midnight once in many; the others need no second look at their times.
+        with suppress(UserError):
+            if (later := _beyond_midnight(read, samples, factor)) is not None:
+                return _even_times(later, samples, factor)
+        raise error from None
+
+
+def _beyond_midnight(read: ReadBlock, samples: int, factor: float) -> ReadBlock | None:
+    """Times of day that go on counting behind a midnight; None where they do not pass one."""
+    starts, before = list[int](), -np.inf
+    for start in range(0, samples, BLOCK):
+        times = read([0], start, min(start + BLOCK, samples))[:, 0] * factor
+        if not (np.all(times >= 0.0) and np.all(times < DAY)):
+            return None
+        starts += (start + np.flatnonzero(np.diff(times, prepend=before) < -0.5 * DAY)).tolist()
+        before = times[-1]
+
+    def later(columns: Sequence[int], start: int, stop: int) -> Array:
+        days = np.searchsorted(starts, np.arange(start, stop), side="right")
+        return np.asarray(read(columns, start, stop) + days[:, None] * (DAY / factor))
+
+    return later if starts else None
+
+
+def _even_times(read: ReadBlock, samples: int, factor: float) -> TimeAxis:
+    """The equal steps of times that increase throughout, as `read_time_axis`."""
     if samples < 3:
         raise UserError("has fewer than three samples", remedy="Give the sample rate in the map")
     first = float(read([0], 0, 1)[0, 0])

@@ -119,7 +119,7 @@ def _check_task(task: TrimTask) -> None:
     c, k = len(task.channel_names), len(task.components)
     if c < k:
         fault = f"{c} usable channels cannot determine {k} load components{task.left_out_note}"
-        raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
+        raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig or its `components`")
     rows = _stack_rows(task)
     _check_loaded(task, rows)
     _regress(task, rows)
@@ -263,7 +263,7 @@ def _condition(task: TrimTask, rows: TrimRows, regression: TrimRegression, noise
             f"`{name}`" for name, share in zip(task.components, np.abs(Vt[-1]), strict=True) if share > MIN_NULL_SHARE
         ]
         fault = f"the usable channels cannot distinguish {' and '.join(involved)}{task.left_out_note}"
-        raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
+        raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig or its `components`")
     return condition
 
 

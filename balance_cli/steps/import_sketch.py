@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -16,21 +15,15 @@ from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.importers.base import ForeignChannel, ForeignFile
-from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
-from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT, TIME
+from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT
 from balance_cli.steps.sketched_differences import Entries, base_file, difference_lines, own_channels
-from balance_cli.steps.sketched_times import empty_times, even_column, time_axis, time_channel, unit_of
+from balance_cli.steps.sketched_rates import quoted, rate_lines
+from balance_cli.steps.sketched_times import empty_times, even_column, time_channel, unit_of
 
-FASTEST_GUESS = 2e6
-"""[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
-RATE_TOLERANCE = 1e-3
-"""Relative difference from which the rate in the head of a file contradicts its times."""
 TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|\bpsi\b|speed", re.IGNORECASE)
 ANGLE_NAME = re.compile(r"azimu|\bpsi\b|angle|winkel", re.IGNORECASE)
-YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
-"""Words that YAML does not take for text."""
 SIMILARITY = 0.6
 """Share of equal characters (difflib) from which two names are taken as one."""
 KIND_NAMES = {
@@ -41,10 +34,6 @@ KIND_NAMES = {
     "wind": ("wind", "run", "hover", "test"),
 }
 """Words in file names that tell the kind of a run, in the order in which they are looked for."""
-RATE_NAMES = ("sample_rate", "fs", "samplerate", "sampling_rate", "rate", "sr")
-
-STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step")
-"""Names of a time step [s]; `increment` is that of Siemens Testlab."""
 
 
 def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
@@ -70,7 +59,7 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     loads, rest = _guess_loads(rest)
     lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
     if any(_kind(file.path) != "static" for file in files):
-        lines += _rate_lines(first, time)
+        lines += rate_lines(first, time)
     lines += [f"# not as long as `{time.name}`: {', '.join(c.name for c in others)}"] if time and others else []
     mapped, free = _guess_channels(rest, geometry)
     channel_line = partial(_channel_line, geometry)
@@ -125,14 +114,7 @@ def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time
 
 
 def _rig(geometry: Geometry | None) -> str:
-    return _quoted(geometry.rig) if geometry is not None else "TODO  # as in the geometry"
-
-
-def _quoted(text: str) -> str:
-    """A text as a YAML scalar: plain where that is safe, else in quotes."""
-    if text.lower() in YAML_WORDS:
-        return json.dumps(text)
-    return text if re.fullmatch(r"[A-Za-z][\w./+-]*( [\w./+-]+)*", text) else json.dumps(text, ensure_ascii=False)
+    return quoted(geometry.rig) if geometry is not None else "TODO  # as in the geometry"
 
 
 def _file_comments(files: Sequence[ForeignFile]) -> Iterator[str]:
@@ -145,48 +127,6 @@ def _file_comments(files: Sequence[ForeignFile]) -> Iterator[str]:
         for group in file.groups:
             if group.unusable:
                 yield f"#   not usable: {', '.join(group.names[:5])}: {group.unusable}"
-
-
-def _rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]:
-    rates = sorted({group.rate for group in file.groups if group.rate is not None and not group.unusable})
-    if rates:
-        yield f"# sampled at {', '.join(f'{rate:.10g} Hz' for rate in rates)}"
-        return
-    own = [group for group in file.groups if group.time is not None]
-    for group in own:
-        names = ", ".join(name for name in group.names if name != group.names[group.time or 0])
-        yield f"# `{group.names[group.time or 0]}` is the time of {names}"
-    if time is not None:
-        yield f"time: {_quoted(time.name)}" + ("  # and the others as above" if own else "")
-        yield from _unit_lines(file, time)
-        return
-    rate = _stated_rate(file)
-    yield "sample_rate: TODO  # Hz" if rate is None else f"sample_rate: {rate:.10g}  # Hz, as the file says"
-
-
-def _stated_rate(file: ForeignFile) -> float | None:
-    """The rate [Hz] that the file states beside its channels, itself or by a step; None where it states several."""
-    stated = [(name.rpartition(".")[2].lower(), value) for name, value in file.scalars.items() if value > 0.0]
-    rates = {value for name, value in stated if name in RATE_NAMES}
-    rates = rates or {whole_rate(1.0 / value) for name, value in stated if name in STEP_NAMES}
-    return rates.pop() if len(rates) == 1 else None
-
-
-def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
-    """The unit of the times, to be completed where the file states none and their steps are not those of seconds."""
-    group = next(group for group in file.groups if any(channel is time for channel in group.channels))
-    axis = time_axis(group, next(k for k, channel in enumerate(group.channels) if channel is time))
-    unit, stated = unit_of(time.unit, TIME), _stated_rate(file)
-    rate = None if axis is None else axis.rate / (unit.factor if unit else 1.0)
-    agrees = rate is not None and stated is not None and abs(rate / stated - 1.0) < RATE_TOLERANCE
-    if unit is None and agrees:
-        yield "time_unit: s  # the head states the same rate"
-    elif unit is None and (rate is None or 1.0 < rate < FASTEST_GUESS):
-        yield "time_unit: s  # assumed: the file states no unit of its times"
-    elif unit is None:
-        yield f"time_unit: {UNFINISHED}  # s, ms, us, min or h: the file states none, and there are {rate:.6g} in one"
-    if rate is not None and stated is not None and not agrees:
-        yield f"# TODO: the head states {stated:.10g} Hz, these times are of {rate:.10g} Hz"
 
 
 def _guess_channels(
@@ -206,11 +146,12 @@ def _guess_channels(
 def _channel_line(geometry: Geometry | None, channel: ForeignChannel, target: str) -> str:
     declared = geometry.reading_units([target]) if geometry is not None else {}
     is_reading = not channel.unit or bool(unit_of(channel.unit, declared.get(target, "V")))
-    entry = [f"name: {_quoted(target)}", f"unit: {_quoted(channel.unit or UNFINISHED)}"]
-    entry += [] if is_reading else ["scale: TODO"]
+    entry = [f"name: {quoted(target)}", f"unit: {quoted(channel.unit or UNFINISHED)}"]
+    entry += [] if is_reading and not channel.scale else ["scale: TODO"]
     comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
     comment = comment if is_reading else "  # volts for one unit, or remove it"
-    return f"  {_quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
+    comment = f"  # integers: the file states {channel.scale}, which are not applied" if channel.scale else comment
+    return f"  {quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
 
 
 def _nearest(name: str, names: Sequence[str]) -> str | None:
@@ -245,12 +186,12 @@ def _guess_loads(
 def _load_line(channel: ForeignChannel, component: str) -> str:
     unit = channel.unit or ("N" if component.startswith("F") else "N m")
     comment = "  # TODO: check the sign" if channel.unit else "  # TODO: check unit and sign"
-    return f"  {_quoted(channel.name)}: {{component: {component}, unit: {_quoted(unit)}, sign: 1}}{comment}"
+    return f"  {quoted(channel.name)}: {{component: {component}, unit: {quoted(unit)}, sign: 1}}{comment}"
 
 
 def _rotor_lines(tachometer: ForeignChannel | None, geometry: Geometry | None) -> Iterator[str]:
     mark = "" if tachometer is not None else "# "
-    name = _quoted(tachometer.name) if tachometer is not None else "TACHOMETER"
+    name = quoted(tachometer.name) if tachometer is not None else "TACHOMETER"
     yield f"{mark}rotor:"
     yield f"{mark}  channel: {name}"
     yield from _pulse_lines(tachometer, mark)
@@ -274,7 +215,7 @@ def _pulse_lines(tachometer: ForeignChannel | None, mark: str) -> Iterator[str]:
 
 def _run_lines(file: ForeignFile, geometry: Geometry | None) -> Iterator[str]:
     kind = _kind(file.path)
-    yield f"  - file: {_quoted(file.path.name)}"
+    yield f"  - file: {quoted(file.path.name)}"
     yield '    run: "{stem}"'
     yield f"    kind: {kind or 'TODO  # static, zero, sweep, check or wind'}"
     if kind == "static":

@@ -159,7 +159,8 @@ def test_parquet(tmp_path):
 
     table = pd.DataFrame({"time": np.arange(5000) / 800, "Fz [N]": X[:, 0], "word": "x", "n": np.arange(5000)})
     table.to_parquet(tmp_path / "record", row_group_size=700)
-    (group,) = open_foreign(tmp_path / "record").groups
+    group, words = open_foreign(tmp_path / "record").groups
+    assert words.names == ("word",) and words.unusable
     assert group.names == ("time", "Fz", "n") and group.channels[1].unit == "N"
     assert np.array_equal(group.read([1, 2], 650, 1450), np.column_stack([X[650:1450, 0], np.arange(650, 1450)]))
 
