@@ -17,12 +17,12 @@ from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.choices import MOST_HARMONICS, LoadModel
-from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.measured_response import TransferSource, transfer_source
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source
 from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.nyquist_noise import UsualNoise
 from balance_cli.signals.response.choices import Interpolation
 from balance_cli.signals.response.transfer import Transfer

@@ -123,7 +123,8 @@ class Calibration(ResultView):
     carry. A calibration from a matrix file has one trim, the linear part at zero load, without runs and errors:
     standard errors, hysteresis and lack of fit are NaN, covariances of coefficients zero. `consistency`: what the
     cross-checks said of the runs, None where nothing. `temperature`: what temperature adds to the readings; None where
-    it has no effect, or is not known.
+    it has no effect, or is not known. `stated_temperatures`: lowest and highest of the runs [degC], where these state
+    any.
     """
 
     geometry: Geometry
@@ -131,6 +132,7 @@ class Calibration(ResultView):
     all_trims: AllTrimsCalibration | None = field(default=None, metadata={"stored_as": "gage"})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     temperature: TemperatureTerms | None = field(default=None, metadata={"omit_if_none": True})
+    stated_temperatures: tuple[float, float] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def errors_known(self) -> bool:

@@ -12,6 +12,10 @@ Array = NDArray[np.float64]
 RANGE_MARGIN = 0.1
 """Share of the temperatures of the calibration by which others may lie outside: the error of the line stays like it."""
 
+UNKNOWN_EFFECT = 5.0
+"""[K] from the calibration or the zero from which an effect that nobody determined counts: gauges that are matched to
+the material of a balance change their sensitivity by 0.01 to 0.05 % per kelvin, half of a usual accuracy."""
+
 
 @dataclass(frozen=True)
 class TemperatureTerms:

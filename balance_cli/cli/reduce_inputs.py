@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
     from balance_cli.campaign.recording.run import Run
     from balance_cli.campaign.rig.geometry import Geometry
-    from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ResponseSource
+    from balance_cli.reduction.wind_off import ZeroRecord
     from balance_cli.signals.nyquist_noise import UsualNoise
 
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.reduction.history_file import HistoryFile
     from balance_cli.reduction.kalman.load_history import LoadHistory
-    from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import RunLoads
+    from balance_cli.reduction.wind_off import ZeroRecord
     from balance_cli.signals.nyquist_noise import UsualNoise
     from balance_cli.steps.reduce_in_time import TimeOptions
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.campaign.rig.attitude import stated_gravity
-from balance_cli.reduction.mean_loads import ZeroRecord
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.quantization import is_on_grid
 
 Array = NDArray[np.float64]
@@ -43,9 +44,7 @@ def coarse_zero(zero: Run, record: Run, channel_names: Sequence[str]) -> ZeroRec
 def join_zeros(first: ZeroRecord, second: ZeroRecord) -> ZeroRecord:
     """Return the zero of the channels of both, from one run."""
     mean, variance = (np.concatenate(pair) for pair in ((first.mean, second.mean), (first.variance, second.variance)))
-    return ZeroRecord(
-        first.run, (*first.channel_names, *second.channel_names), mean, variance, first.temperature, first.gravity
-    )
+    return replace(first, channel_names=(*first.channel_names, *second.channel_names), mean=mean, variance=variance)
 
 
 def converter_step(values: Array) -> float:

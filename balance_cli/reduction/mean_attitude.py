@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.attitude import gravity_directions, is_one_direction
 from balance_cli.reduction.flags import NO_WEIGHT, join_flags
-from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord
+from balance_cli.reduction.mean_loads import MeanLoads
+from balance_cli.reduction.wind_off import ZeroRecord
 
 Array = NDArray[np.float64]
 

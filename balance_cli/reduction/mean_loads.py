@@ -15,51 +15,19 @@ from balance_cli.calibration.load_method import MATRIX
 from balance_cli.calibration.math_model import zero_scatter
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
-from balance_cli.campaign.recording.run import Run, read_channels
-from balance_cli.campaign.recording.temperature import mean_temperature
-from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.untested_loads import sensors_of_channels, untested_means
 from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION as DOF_PER_EQUATION
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE, LoadEquations
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
-from balance_cli.signals.rotor.steadiness import sigma_if_steady, unsteady
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-ZERO_SEGMENTS = 16
-"""Segments of a zero record. The scatter of their means gives the error of the whole mean, known to 18 % by so many."""
-
-
-@dataclass(frozen=True)
-class ZeroRecord:
-    """Reading of the unloaded rig: means (c,) [V] of the named channels and their variance.
-
-    `temperature` [degC]: mean of the record; `gravity` (3,): its direction in rig axes; None where it states none.
-    """
-
-    run: str
-    channel_names: tuple[str, ...]
-    mean: Array
-    variance: Array
-    temperature: float | None = None
-    gravity: Array | None = None
-
-
-def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
-    """Compute the means of a wind-off record, with their variance from the scatter of its segments, and their drift."""
-    names = tuple(name for name in channel_names if name in run.channel_names)
-    values = read_channels(run, names)
-    means = np.array([part.mean(axis=0) for part in np.array_split(values, ZERO_SEGMENTS)])
-    is_drift = unsteady(means.astype(complex), sigma_if_steady(means))  # either end may be the zero
-    variance = means.var(axis=0, ddof=1) / ZERO_SEGMENTS + (0.5 * np.ptp(means, axis=0) * is_drift) ** 2
-    of_run = mean_temperature(run), stated_gravity(run.conditions)
-    return ZeroRecord(run.name, names, values.mean(axis=0), variance, *of_run)
 
 
 @dataclass(frozen=True)
@@ -177,7 +145,7 @@ def _residual_test(
 
     The test is made in the directions N that no load reaches, N' C0 = 0. The errors of C0 under one load come from the
     few rows that applied it, so that their covariance has hardly an inverse: its size is kept, and the correlation is
-    that of the residuals of all rows. Noise of too few degrees of freedom counts by its variances. Degrees of freedom
+    that of the residuals of all rows. So is that of noise of too few degrees of freedom. Degrees of freedom
     are combined by Satterthwaite's formula (Biometrics Bulletin 2, 1946, 110).
     """
     redundant = len(C0) - C0.shape[1]
@@ -185,13 +153,14 @@ def _residual_test(
         covariance = reading.covariance + model_covariance
         return (*mean_load_redundancy(reading.change, C0, covariance), covariance)
     few = reading.dof < DOF_PER_EQUATION * redundant
-    noise = np.diag(np.diag(reading.covariance)) if few else reading.covariance
     residual = trim.residual_covariance[np.ix_(reading.rows, reading.rows)]
     unit = np.sqrt(np.diag(residual))[:, None]
     N = np.linalg.svd(C0 / unit * trim.calibrated_range)[0][:, C0.shape[1] :] / unit
-    noise_N, model_N, residual_N = (N.T @ part @ N for part in (noise, model_covariance, residual))
-    share = float(np.trace(np.linalg.solve(residual_N, model_N))) / redundant
-    sizes = (float(np.trace(np.linalg.solve(residual_N, noise_N))) / redundant, share)
+    noise_N, model_N, residual_N = (N.T @ part @ N for part in (reading.covariance, model_covariance, residual))
+    size, share = (float(np.trace(np.linalg.solve(residual_N, part))) / redundant for part in (noise_N, model_N))
+    sizes = (size, share)
+    noise = size * residual if few else reading.covariance
+    noise_N = size * residual_N if few else noise_N
     dof = sum(sizes) ** 2 / sum(size**2 / n for size, n in zip(sizes, (reading.dof, trim.dof), strict=True))
     total = noise_N + share * residual_N
     test = mean_load_redundancy(N.T @ reading.change, np.zeros((redundant, 0)), total, dof, few)
@@ -256,7 +225,7 @@ def mean_reading(
     at = [zero.channel_names.index(name) for name in names]
     change = change - (zero.mean[at] - zeros.unloaded[rows])
     covariance = covariance + np.diag(zero.variance[at])
-    return MeanReading(rows, change, covariance, min(dof, ZERO_SEGMENTS - 1.0))
+    return MeanReading(rows, change, covariance, min(dof, zero.segments - 1.0))
 
 
 def undetermined_loads_error(health: ChannelHealth, run: str) -> UserError:

@@ -25,7 +25,6 @@ from balance_cli.reduction.mean_loads import (
     CalibrationZeros,
     MeanLoads,
     MeanReading,
-    ZeroRecord,
     flag_extrapolated,
     mean_load_redundancy,
     mean_reading,
@@ -35,6 +34,7 @@ from balance_cli.reduction.mean_loads import (
 from balance_cli.reduction.untested_loads import sensors_of_channels, untested_means
 from balance_cli.reduction.vibration_shift import SHIFT_ERROR, VibrationShift, vibration_shift
 from balance_cli.reduction.weighted_least_squares import LoadEquations
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.distributions import student_widening
 from balance_cli.signals.rotor.harmonics import Harmonics
 

@@ -13,11 +13,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.temperature_terms import TemperatureTerms
+from balance_cli.calibration.result import Calibration
+from balance_cli.calibration.temperature_terms import UNKNOWN_EFFECT, TemperatureTerms
 from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_TEMPERATURE, join_flags
-from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord
+from balance_cli.reduction.mean_loads import MeanLoads
 from balance_cli.reduction.rotor_record import RotorRecord
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
@@ -29,12 +31,46 @@ Solver = Callable[[Harmonics, ZeroRecord | None], MeanLoads]
 
 
 def mean_loads_at_temperature(
-    record: RotorRecord, terms: TemperatureTerms, zero: ZeroRecord | None, solve: Solver
+    record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None, solve: Solver
 ) -> MeanLoads:
-    """Compute mean loads from a record with the effects of temperature taken out; `solve` computes them otherwise."""
+    """Compute mean loads from a record with the effects of temperature taken out; `solve` computes them otherwise.
+
+    Where the calibration did not determine these effects, loads far from its temperature or from that of the zero are
+    flagged as extrapolated.
+    """
     assert record.run.sample_rate is not None
     start, stop = (int(time * record.run.sample_rate) for time in record.spectra.interval)
-    own = mean_temperature(record.run, start, stop)
+    own, terms = mean_temperature(record.run, start, stop), calibration.temperature
+    if terms is not None:
+        return _with_terms(record, terms, own, zero, solve)
+    loads, note = solve(record.spectra, zero), _other_temperature(own, zero, calibration.stated_temperatures)
+    if not note:
+        return loads
+    flags = tuple(join_flags((flag, EXTRAPOLATED)) for flag in loads.flags)
+    return replace(loads, flags=flags, note="; ".join(filter(None, [loads.note, note])))
+
+
+def _other_temperature(own: float | None, zero: ZeroRecord | None, calibrated: tuple[float, float] | None) -> str:
+    """What is said of a record at `own` [degC], far from its zero or from the temperatures of the calibration."""
+    if own is None:
+        return ""
+    lowest, highest = calibrated or (own, own)
+    at_zero = own if zero is None or zero.temperature is None else zero.temperature
+    others = []
+    if not lowest - UNKNOWN_EFFECT < own < highest + UNKNOWN_EFFECT:
+        limits = dict.fromkeys(f"{limit:.1f}" for limit in (lowest, highest))
+        others += [f"the calibration at {' to '.join(limits)}"]
+    if abs(own - at_zero) > UNKNOWN_EFFECT:
+        others += [f"its zero at {at_zero:.1f}"]
+    if not others:
+        return ""
+    return f"recorded at {own:.1f} degC, {' and '.join(others)} degC: what temperature does was not determined"
+
+
+def _with_terms(
+    record: RotorRecord, terms: TemperatureTerms, own: float | None, zero: ZeroRecord | None, solve: Solver
+) -> MeanLoads:
+    """Compute mean loads from a record at `own` [degC] with the known effects of temperature taken out."""
     reference = terms.reference if zero is None else zero.temperature
     difference = 0.0 if own is None else own - terms.reference
     # A zero whose temperature is not known was most probably recorded at that of the run, or at the mean one.

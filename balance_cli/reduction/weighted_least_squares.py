@@ -28,11 +28,10 @@ ComplexArray = NDArray[np.complex128]
 REDUNDANCY_CONFIDENCE = 0.999
 """Confidence of the residual test, fixed by the file contract: noise alone exceeds the limit once in a thousand."""
 DOF_PER_REDUNDANT_EQUATION = 2.0
-"""Degrees of freedom of the noise for each redundant equation, below which only its variances are used.
+"""Degrees of freedom of the noise for each redundant equation, below which only its size in all of them is used.
 
 The inverse of a covariance that is estimated with fewer is dominated by its smallest eigenvalues, and does not exist
-below one (Ledoit and Wolf, J. Multivariate Analysis 88, 2004, 365). The variances contain fluctuating loads, which
-the covariance would tell from noise: the test then finds less.
+below one (Ledoit and Wolf, J. Multivariate Analysis 88, 2004, 365).
 """
 
 
@@ -109,8 +108,9 @@ def solve_loads(
     find it.
     """
     a, b = T.shape[1:]
-    few = dof < DOF_PER_REDUNDANT_EQUATION * (a - b) / 2
-    tested_noise = np.where(few[:, None, None], noise * np.eye(a), noise)
+    few, N = dof < DOF_PER_REDUNDANT_EQUATION * (a - b) / 2, redundant_directions(T)
+    scaled, directions = _scaled_shape(N, noise, weighting_covariance)
+    tested_noise = np.where(few[:, None, None], scaled, noise)
     G, noise_covariance = weighted_inverse(T, tested_noise if weighting_covariance is None else weighting_covariance)
     # Weights that are not the inverse of the noise's covariance: the errors of the loads are those of the noise itself.
     propagated = few | (weighting_covariance is not None)
@@ -123,9 +123,8 @@ def solve_loads(
     covariance = noise_covariance + G @ response_error @ np.swapaxes(G, 1, 2)
     equations = LoadEquations(T, y, total, G)
     chi2 = residual_chi2(equations.redundant, y[:, :, None], total)[:, 0]
-    share = _noise_share(equations.redundant, tested_noise, total)
-    degrees = np.full(len(T), float(a - b))
-    bias, limit = _residual_test_limit(share, dof, a - b, few)
+    share, degrees = _noise_share(equations.redundant, tested_noise, total), np.full(len(T), float(a - b))
+    bias, limit = _residual_test_limit(share, dof, a - b, np.where(few, directions, np.inf))
     per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
     return SolvedLoads(
         loads=loads[:, : b // 2] + 1j * loads[:, b // 2 :],
@@ -168,6 +167,25 @@ def redundant_directions(T: Array) -> Array:
     return np.asarray(np.swapaxes(np.linalg.qr(T, mode="complete").Q[:, :, T.shape[2] :], 1, 2))
 
 
+def _scaled_shape(N: Array, noise: Array, known: Array | None) -> tuple[Array, Array]:
+    """Return the noise (h, a, a) of the channels scaled to that in the redundant directions N, and their number.
+
+    It is the `known` covariance (h, a, a), or has the variances of `noise` where there is none.
+
+    Loads that fluctuate do not reach these directions, so that they hold the noise of the channels alone. The number
+    (h,) of complex directions counts those with less noise than others in part (Satterthwaite, Biometrics Bull. 2,
+    1946, 110); an estimate from few lines is too low, which widens the limit of the test.
+    """
+    shape = noise * np.eye(noise.shape[1]) if known is None else known
+    noise_there, shape_there = (N @ part @ np.swapaxes(N, 1, 2) for part in (noise, shape))
+    ratio = np.linalg.solve(shape_there, noise_there)
+    total = np.trace(ratio, axis1=1, axis2=2)
+    square = np.einsum("hij,hji->h", ratio, ratio)
+    scale = np.maximum(total / max(N.shape[1], 1), np.finfo(float).tiny)
+    directions = np.maximum(0.5 * total**2 / np.maximum(square, np.finfo(float).tiny), 1.0)
+    return np.asarray(scale[:, None, None] * shape), np.asarray(directions)
+
+
 def _noise_share(N: Array, noise: Array, total: Array) -> Array:
     """Return the share (h,) of the noise in the covariance `total` of the redundant directions N."""
     noise, total = (N @ part @ np.swapaxes(N, 1, 2) for part in (noise, total))
@@ -184,24 +202,24 @@ def _estimated_weights_factor(dof: Array, degrees: int) -> Array:
     return np.asarray(1.0 / share**2)
 
 
-def _residual_test_limit(
-    share: Array, dof: Array, degrees: int, variances_only: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def _residual_test_limit(share: Array, dof: Array, degrees: int, directions: Array) -> tuple[Array, Array]:
     """Return the factor that removes the bias of the residual chi-square, and its 99.9 % point per degree of freedom.
 
     With noise alone, estimated with dof complex degrees of freedom, q redundant complex equations follow Hotelling's
     distribution: chi2 (dof - q + 1) / (2 q dof) is F with 2 q and 2 (dof - q + 1) degrees of freedom. Both corrections
-    apply in proportion to the `share` of the noise in the covariance. With `variances_only` (h,) each variance is
-    estimated by itself, as if there were one equation; F with 2 dof is then on the safe side.
+    apply in proportion to the `share` of the noise in the covariance. Where only the size of the noise in so many
+    `directions` (h,) was estimated (infinite elsewhere), they count as one equation of as many real degrees of freedom.
     """
     if degrees <= 0:
         return np.ones_like(share), np.full_like(share, np.inf)
-    q = np.where(variances_only, 1, degrees // 2)
+    is_size = np.isfinite(directions)
+    q, known = np.where(is_size, 1, degrees // 2), np.isinf(dof)
+    dof = dof * np.where(is_size, directions, 1.0)
     unbiased = np.array([inverse_bias_factor(float(d), int(n)) for d, n in zip(dof, q, strict=True)])
     # The bounds keep the quotient finite where the covariance holds no noise.
     second = np.minimum(2.0 * (dof - q + 1.0) / np.maximum(share, 1e-9), 1e9)
-    limit = stats.f.ppf(REDUNDANCY_CONFIDENCE, degrees, second)
-    known = np.isinf(dof)
+    first = np.where(is_size, np.minimum(2.0 * directions, degrees), degrees)
+    limit = stats.f.ppf(REDUNDANCY_CONFIDENCE, first, second)
     hotelling = np.where(known, 1.0, (dof - q) / np.where(known, 1.0, dof - q + 1.0))
     return 1.0 - share * (1.0 - unbiased), np.asarray(limit * (1.0 - share * (1.0 - hotelling)))
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.temperature_terms import TemperatureTerms
+from balance_cli.calibration.temperature_terms import UNKNOWN_EFFECT, TemperatureTerms
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_TEMPERATURE, SEPARATOR
 from balance_cli.steps.point_attitude import without_weight_beside_shaft
 from balance_cli.steps.point_loads import PointLoads, point_loads
@@ -32,7 +33,10 @@ def point_loads_at_temperature(
     readings, zero = without_weight_beside_shaft(readings, zero, calibration)
     terms = calibration.temperature
     if terms is None:
-        return point_loads(readings, calibration, zero, non_iterative)
+        result = point_loads(readings, calibration, zero, non_iterative)
+        return replace(
+            result, flags=tuple(map(_flag, result.flags, repeat(False), _is_far(readings, calibration).tolist()))
+        )
     own = readings.temperature
     difference = np.zeros(len(readings.channels)) if own is None else own - terms.reference
     zero_temperature = _zero_temperature(readings, terms, zero)
@@ -54,6 +58,14 @@ def point_loads_at_temperature(
     result = point_loads(corrected, calibration, zero, non_iterative)
     outside = np.zeros(len(difference), bool) if own is None else np.array([terms.is_outside(each) for each in own])
     return replace(result, flags=tuple(map(_flag, result.flags, [unknown] * len(outside), outside.tolist())))
+
+
+def _is_far(readings: PointReadings, calibration: Calibration) -> NDArray[np.bool_]:
+    """Which rows (n,) are far from the temperatures of a calibration that did not determine what temperature does."""
+    if readings.temperature is None or calibration.stated_temperatures is None:
+        return np.zeros(len(readings.channels), bool)
+    lowest, highest = calibration.stated_temperatures
+    return np.maximum(lowest - readings.temperature, readings.temperature - highest) > UNKNOWN_EFFECT
 
 
 def _zero_temperature(readings: PointReadings, terms: TemperatureTerms, zero: ZeroReading | None) -> float | None:

@@ -23,7 +23,7 @@ from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_respon
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.load_fluctuation import add_load_fluctuation
 from balance_cli.reduction.mean_attitude import without_change_of_weight, zero_in_attitude
-from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
+from balance_cli.reduction.mean_loads import MeanLoads, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
 from balance_cli.reduction.reliability import UnnoticedErrors, unnoticed_errors
@@ -41,6 +41,7 @@ from balance_cli.reduction.static_disagreement import add_static_disagreement
 from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
 from balance_cli.reduction.vibration_shift import read_deviations
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
@@ -214,10 +215,7 @@ def _calibrated_mean_loads(record: RotorRecord, calibration: Calibration, zero: 
 
     gravity = stated_gravity(record.run.conditions)
     turned = zero_in_attitude(zero, gravity, calibration)
-    if calibration.temperature is None:
-        loads = solve(record.spectra, turned)
-    else:
-        loads = mean_loads_at_temperature(record, calibration.temperature, turned, solve)
+    loads = mean_loads_at_temperature(record, calibration, turned, solve)
     return without_change_of_weight(loads, gravity, zero, calibration)
 
 

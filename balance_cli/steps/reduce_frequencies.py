@@ -14,11 +14,11 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.reliability import join_harmonics
 from balance_cli.reduction.response_sources import ResponseSource, at_rotor_speed
 from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.reduction.rotor_record import count_cycles, tone_record
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.steps.reduce import flag_scale_contradiction, reduce_record

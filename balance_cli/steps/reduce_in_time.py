@@ -36,10 +36,10 @@ from balance_cli.reduction.kalman.load_recorder import LoadRecorder, RecorderSet
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, time_invariant_filters
 from balance_cli.reduction.kalman.segments import Estimates, RunFilters
 from balance_cli.reduction.kalman.smoothing import smoothed_estimates
-from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.response_sources import ResponseSource, no_state_space_error
 from balance_cli.reduction.result import RunLoads, flag_filter
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth

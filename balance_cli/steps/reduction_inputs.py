@@ -18,10 +18,10 @@ from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.coarse_zero import coarse_zero, join_zeros
 from balance_cli.reduction.loaded_zero import describe_loaded_zero
-from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
 from balance_cli.reduction.measured_response import highest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads, TimeDomainResult
+from balance_cli.reduction.wind_off import ZeroRecord, zero_record
 from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST
 from balance_cli.signals.rotor.other_rotors import rotor_azimuth
 
@@ -117,10 +117,24 @@ def zero_reference(zeros: Sequence[Run], calibration: Calibration, record: Run |
 
 
 def compared_zero(zeros: Sequence[Run], calibration: Calibration, record: Run) -> tuple[ZeroRecord | None, str]:
-    """Return `zero_reference`, and a warning in its place where a check or wind `record` shows it to be loaded."""
+    """Return `zero_reference`, and a warning: in its place where a check or wind `record` shows it to be loaded.
+
+    The warning also names channels of means that the zero run alone lacks, without which the loads are computed.
+    """
     _require_one_zero(zeros)
     loaded = loaded_zero_warning(zeros, record)
-    return (None, loaded) if loaded else (zero_reference(zeros, calibration, record), "")
+    if loaded:
+        return None, loaded
+    zero = zero_reference(zeros, calibration, record)
+    return zero, "" if zero is None else _lost_channels_warning(zeros[0], zero, calibration)
+
+
+def _lost_channels_warning(run: Run, zero: ZeroRecord, calibration: Calibration) -> str:
+    """Return that mean loads do without channels that cannot be used in the zero run; empty where there are none."""
+    used = [name for trim in calibration.trims.values() for name in trim.channel_names]
+    lost = live_channels(run, calibration.geometry).left_out
+    words = [f"{name} ({lost.get(name, 'not read')})" for name in dict.fromkeys(used) if name not in zero.channel_names]
+    return f"mean loads do without {', '.join(words)} of {run.file or run.name}" if words else ""
 
 
 def _require_one_zero(zeros: Sequence[Run]) -> None:

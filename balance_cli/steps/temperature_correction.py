@@ -47,9 +47,10 @@ def fit_without_temperature(
 
     `hold_out`: runs that check the calibration, referred to that temperature too.
     """
-    terms = initial_temperature_terms(static, geometry)
+    terms, stated = initial_temperature_terms(static, geometry), _stated_temperatures(static)
     if terms is None:
-        return _note_missing_temperatures(fit(static, hold_out), static)
+        result = replace(fit(static, hold_out), stated_temperatures=stated)
+        return _note_missing_temperatures(result, static)
     for number in range(1, TEMPERATURE_FITS + 1):
         at_reference = [without_temperature(run, terms, geometry) for run in static]
         result = replace(
@@ -59,6 +60,12 @@ def fit_without_temperature(
             break
         terms = refined_temperature_terms(static, result.all_trims)
     return _with_reference_errors(result, terms)
+
+
+def _stated_temperatures(static: Sequence[Run]) -> tuple[float, float] | None:
+    """The lowest and the highest temperature [degC] of the runs that state theirs; None where none does."""
+    stated = [values for run in static if (values := run_temperature(run)) is not None and len(values)]
+    return (min(float(each.min()) for each in stated), max(float(each.max()) for each in stated)) if stated else None
 
 
 def _note_missing_temperatures(result: Calibration, static: Sequence[Run]) -> Calibration:

@@ -155,7 +155,7 @@ def transverse_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
     for p, a in zip(truth.rig.position, truth.rig.axis, strict=True):
         N = point_rows(p)
         K += k * N.T @ (np.eye(3) - np.outer(a, a)) @ N
-    mechanics = replace(truth.mechanics, K=truth.mechanics.K + padded(K, truth.mechanics.size))
+    mechanics = replace(truth.mechanics, sideways=K)
     return Hidden("transverse-stiffness@all", {"stiffness": k}, replace(truth, mechanics=mechanics))
 
 
@@ -234,9 +234,11 @@ def support_flexibility(truth: Truth, rng: np.random.Generator) -> Hidden:
     D = mechanics.D.copy()
     D[:6, :6] -= truth.mechanics.D[:6, :6]
     D += T.T @ truth.mechanics.D[:6, :6] @ T
+    floor = np.zeros((6, mechanics.size))
+    floor[axis, -1] = 1
     label = f"support-flexibility@{'xyz'[axis]}"
     parameters = {f"compliance_{'xyz'[axis]}": 1 / stiffness}
-    return Hidden(label, parameters, replace(truth, mechanics=replace(mechanics, E=E, D=D)))
+    return Hidden(label, parameters, replace(truth, mechanics=replace(mechanics, E=E, D=D, floor=floor)))
 
 
 def tuned_mass(truth: Truth, rng: np.random.Generator) -> Hidden:

@@ -55,6 +55,18 @@ class Mechanics:
     relaxing: tuple[tuple[Array, float], ...] = ()
     """Stiffness (n, n) of springs in series with dashpots, and the time constant [s] of each."""
     laws: tuple[Law, ...] = field(default=())
+    sideways: Array | None = None
+    """Stiffness (6, 6) of the plate against what carries the cells, beside them; no channel reads it."""
+    floor: Array | None = None
+    """Motion (6, n) of what carries the cells; None where it is the ground."""
+
+    @property
+    def springs(self) -> Array:
+        """Stiffness (n, n) beside that of the cells and shafts."""
+        if self.sideways is None:
+            return self.K
+        relative = np.eye(6, self.size) - (0.0 if self.floor is None else self.floor)
+        return self.K + relative.T @ self.sideways @ relative
 
     @property
     def size(self) -> int:
@@ -69,7 +81,7 @@ class Mechanics:
 
     def state_matrix(self, spin: float) -> Array:
         """Matrix of the state [q, q'] without nonlinear forces."""
-        K = self.K + (self.E.T * self.stiffness) @ self.E
+        K = self.springs + (self.E.T * self.stiffness) @ self.E
         low = np.hstack([-np.linalg.solve(self.M, K), -np.linalg.solve(self.M, self.D + spin * self.G)])
         return np.vstack([np.hstack([np.zeros((self.size, self.size)), np.eye(self.size)]), low])
 
@@ -81,7 +93,7 @@ class Mechanics:
             law = law + 1j * np.outer(w, self.viscous_time)
         Z = -(w[:, None, None] ** 2) * self.M + 1j * w[:, None, None] * (self.D + spin * self.G)
         force = law[:, :, None] * (self.stiffness[:, None] * self.E)
-        Z = Z + self.K + self.E.T @ force
+        Z = Z + self.springs + self.E.T @ force
         for stiffness, time in self.relaxing:
             Z = Z + (1j * w * time / (1 + 1j * w * time))[:, None, None] * stiffness
         return np.asarray(force @ np.linalg.solve(Z, np.broadcast_to(self.B, (len(w), *self.B.shape))))
@@ -120,6 +132,7 @@ def add_coordinate(mechanics: Mechanics, mass: float, damping: float, stiffness:
         G=grown(mechanics.G, 0.0),
         E=np.pad(mechanics.E, ((0, 0), (0, 1))),
         B=np.pad(mechanics.B, ((0, 1), (0, 0))),
+        floor=None if mechanics.floor is None else np.pad(mechanics.floor, ((0, 0), (0, 1))),
     )
 
 
@@ -177,7 +190,7 @@ def nonlinear_forces(mechanics: Mechanics, loads: Array, rate: float, start: Arr
 
 def equilibria(mechanics: Mechanics, loads: Array) -> Array:
     """Coordinates (m, n) at rest under loads (m, 6), applied one after the other."""
-    K = mechanics.K + (mechanics.E.T * mechanics.stiffness) @ mechanics.E
+    K = mechanics.springs + (mechanics.E.T * mechanics.stiffness) @ mechanics.E
     rows = mechanics.E[[law.cell for law in mechanics.laws]]
     compliance = np.linalg.solve(K, rows.T)
     states = [np.zeros(1) for _ in mechanics.laws]

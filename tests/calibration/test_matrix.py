@@ -23,9 +23,10 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.mean_loads import linear_mean_loads, zero_record
+from balance_cli.reduction.mean_loads import linear_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import static_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.calibration_from_matrix import MATRIX_TRIM, NOT_IN_MATRIX, calibration_from_matrix
 from balance_cli.steps.reduce import ERRORS_UNKNOWN, reduce_run

@@ -16,8 +16,8 @@ from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.cli.calibration_summary import _with_former_keys
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.response_sources import static_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.reduce import reduce_run
 from tests.support.calibration_stand import FULL_RANGE, NOISE, stand_points

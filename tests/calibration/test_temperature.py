@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from balance_cli.campaign.recording.additions import TEMPERATURE, MemoryAdditions, RunAdditions
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.cli import balance
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.response_sources import static_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.report.temperature import temperature_blocks
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.point_temperature import point_loads_at_temperature
@@ -132,6 +132,35 @@ def test_runs_in_a_chamber_tell_the_zero_shift_by_their_zeros():
 def test_a_constant_temperature_changes_nothing():
     run = static_run("s", 21.0, 1)
     assert calibrate([run], RIG).temperature is None
+
+
+@pytest.mark.parametrize(
+    ("own", "of_zero", "said"),
+    [
+        (23.0, 23.0, ""),
+        (45.0, 45.0, "recorded at 45.0 degC, the calibration at 20.9 to 21.1 degC"),
+        (24.0, 12.0, "recorded at 24.0 degC, its zero at 12.0 degC"),
+        (45.0, 12.0, "21.1 and its zero at 12.0 degC"),
+    ],
+)
+def test_loads_far_from_the_only_temperature_of_a_calibration_are_flagged(own, of_zero, said):
+    """What temperature does there nobody has measured: 25 K at 0.05 % per kelvin are more than the accuracy."""
+    cal = calibrate([static_run("s", 21.0, 1)], RIG)
+    assert cal.stated_temperatures == pytest.approx((21.0, 21.0), abs=0.1)
+    cal = replace(cal, stated_temperatures=(20.9, 21.1))
+    found = reduced(cal, wind(0.5 * AMPLITUDE, own), wind(np.zeros(6), of_zero, "zero"))
+    assert all(("extrapolated" in flag) == bool(said) for flag in found.flags[0])
+    assert any(said in note for note in found.notes) or not said
+
+
+def test_rows_far_from_the_only_temperature_of_a_calibration_are_flagged():
+    cal = calibrate([static_run("s", 21.0, 1)], RIG)
+    loads = 0.3 * AMPLITUDE * np.ones((3, 1))
+    temperature = np.array([21.0, 25.0, 40.0])
+    channels = readings(loads, temperature)
+    rows = PointReadings("t", NAMES, channels, np.zeros(3, np.intp), np.zeros(3, bool), temperature=temperature)
+    flags = point_loads_at_temperature(rows, cal).flags
+    assert ["extrapolated temperature" in flag for flag in flags] == [False, False, True]
 
 
 def test_no_term_is_found_where_there_is_none():

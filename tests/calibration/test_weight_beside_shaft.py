@@ -13,7 +13,7 @@ from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.reduction.mean_attitude import LEVEL, zero_in_attitude
-from balance_cli.reduction.mean_loads import ZeroRecord
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.point_temperature import point_loads_at_temperature
 from balance_cli.steps.point_zeros import PointReadings, ZeroReading

@@ -7,8 +7,8 @@ import pytest
 
 from balance_cli.calibration.tare_result import Tares
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.steps.reduce import reduce_run
 
 WEIGHT, CENTER = 1500.0, np.array([0.02, -0.01, -0.6])

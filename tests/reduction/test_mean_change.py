@@ -8,8 +8,8 @@ import pytest
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.flags import NO_ZERO, NOT_STEADY
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.simulation import draw_rig, simulate_campaign, simulate_run, true_rig
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify

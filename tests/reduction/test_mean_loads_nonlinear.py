@@ -14,9 +14,10 @@ from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.mean_loads import linear_mean_loads, zero_record
+from balance_cli.reduction.mean_loads import linear_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, nonlinear_mean_loads
 from balance_cli.reduction.response_sources import static_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.steps.reduce import reduce_run
 from tests.support.nonlinear_rig import (
     AMPLITUDE,

@@ -7,8 +7,8 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.campaign.rig.kinematics import elongation_matrix
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.simulation import CampaignPlan, RotorPlan, simulate_campaign, true_rig
 from balance_cli.simulation.plans import ZeroPlan
 from balance_cli.simulation.preset_plans import static_plans

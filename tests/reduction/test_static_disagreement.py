@@ -8,9 +8,9 @@ import pytest
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify

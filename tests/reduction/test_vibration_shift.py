@@ -7,10 +7,10 @@ import pytest
 
 import balance_cli.reduction.vibration_shift as vibration_shift_module
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.reduction.vibration_shift import MOST_SAMPLES, read_deviations, vibration_shift
+from balance_cli.reduction.wind_off import zero_record
 from balance_cli.steps.reduce import reduce_run
 from tests.support.nonlinear_rig import AMPLITUDE, NAMES, NOISE, RIG, ZERO, calibration, readings, record
 

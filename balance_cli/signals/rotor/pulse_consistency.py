@@ -41,6 +41,8 @@ SHARE_ON_COMB = 0.8
 """Share of the lines that another spacing must explain before it does."""
 SHARE_ON_ROTOR = 0.6
 """Share of the lines that a multiple of the pulse rate must explain where none lies between: mains have lines, too."""
+LARGEST_PAIR = 0.7
+"""Of the time to the next pair, within which two pulses are a pair: equal distances are those of twice the speed."""
 UNCOVERED_SHARE = 0.2
 """Share of a record without pulses at either end that is examined: edges of a few revolutions are usual."""
 
@@ -55,7 +57,7 @@ def pulse_faults(run: Run, declared_speed: float | None = None) -> Iterator[User
     if run.pulse_times is None or len(run.pulse_times) < 3 or not run.rotor_speed:
         return
     rate = 1.0 / float(np.median(np.diff(run.pulse_times)))
-    fault = speed_fault(rate, run.rotor_speed)
+    fault = paired_pulses(run.pulse_times, run.rotor_speed) or speed_fault(rate, run.rotor_speed)
     if fault:
         yield UserError(fault, run.file, "rotor/pulse_times", "Correct the pulses or `rotor_speed`")
         return
@@ -77,6 +79,16 @@ def pulse_faults(run: Run, declared_speed: float | None = None) -> Iterator[User
     fault = coverage_fault(run)
     if fault:
         yield UserError(fault, run.file, "rotor/pulse_times", "Check `sample_rate`, or cut the record")
+
+
+def paired_pulses(times: Array, speed: float) -> str:
+    """Return that pulses (n,) [s] come in pairs at a nominal speed [Hz]: a contact bounces; empty where they do not."""
+    within, between = sorted((float(np.median(np.diff(times)[k::2])) for k in (0, 1)), key=abs)
+    is_speed = abs((within + between) * speed - 1.0) <= NOMINAL_TOLERANCE
+    if not is_speed or within > LARGEST_PAIR * between:
+        return ""
+    pairs = f"the pulses come in pairs {1e3 * within:.3g} ms apart, one in each revolution"
+    return f"{pairs}: two marks, or a contact that bounces"
 
 
 def speed_fault(rate: float, speed: float) -> str:

@@ -142,9 +142,19 @@ def _revolutions_between(times: Array) -> Integers:
     doubtful = np.flatnonzero((np.abs(turns - counts) > COUNT_TOLERANCE) | (counts > LONGEST_PULSE_GAP))
     if doubtful.size:
         k = int(doubtful[0])
+        if _changes_speed(intervals, k):
+            fault = f"the rotor changes its speed by more than {100 * COUNT_TOLERANCE:.0f} % at {times[k]:.4f} s"
+            raise UserError(fault, "", PULSE_DATASET, "Cut the record to the part at nearly constant speed")
         interval = f"the interval from {times[k]:.4f} to {times[k + 1]:.4f} s is {turns[k]:.2f} times as long as others"
         raise UserError(f"{interval}: the pulses cannot be repaired", "", PULSE_DATASET, PULSE_REMEDY)
     return counts.astype(np.int64)
+
+
+def _changes_speed(intervals: Array, k: int) -> bool:
+    """Whether the revolutions about interval k become ever shorter or ever longer: a rotor that is run up or down."""
+    near = intervals[max(k - MEDIAN_INTERVALS // 2, 0) : k + MEDIAN_INTERVALS // 2 + 1]
+    steps = np.diff(near)
+    return len(steps) > 2 and bool(np.all(steps < 0.0) or np.all(steps > 0.0))
 
 
 def _missing_pulse_notes(times: Array, counts: Integers, mistimed: list[float]) -> list[str]:

@@ -98,6 +98,7 @@ def test_jitter_of_a_twentieth_of_a_degree_is_kept_as_it_is():
         (lambda t: np.concatenate([t[:50], t[50:] + 0.5 / RATE]), "cannot be repaired"),
         (lambda t: np.delete(t, slice(100, 120)), "cannot be repaired"),
         (lambda t: np.delete(t, slice(None, None, 4)), "too many"),
+        (lambda t: np.concatenate([t[0] - np.cumsum(1.6 ** np.arange(1, 6))[::-1] / RATE, t]), "changes its speed"),
     ],
 )
 def test_what_cannot_be_repaired_is_refused(spoil, word):

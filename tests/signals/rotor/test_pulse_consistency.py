@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter1d
@@ -65,6 +67,14 @@ def test_what_contradicts_the_pulses_is_named(wrong, words):
     (fault,) = pulse_faults(record(**wrong))
     assert words in str(fault)
     assert "rotor/pulse_times" in str(fault)
+
+
+@pytest.mark.parametrize("bounce", [0.004, 0.03])
+def test_pulses_of_a_contact_that_bounces_are_named(bounce):
+    run = record()
+    twice = np.sort(np.concatenate([run.pulse_times, run.pulse_times + bounce]))[:-1]
+    (fault,) = pulse_faults(replace(run, pulse_times=twice))
+    assert f"in pairs {1e3 * bounce:.3g} ms apart" in str(fault)
 
 
 def test_ratios_of_speeds():
