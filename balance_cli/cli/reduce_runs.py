@@ -125,13 +125,14 @@ class Reduction:
         return reduce_run_at_frequencies(run, frequencies, self.geometry, self.calibration, self.source, self.zero)
 
     def _reduce_harmonics(self, run: Run, history: _HistoryWriter) -> RunLoads:
-        from balance_cli.reduction.history_file import harmonic_history
-        from balance_cli.signals.rotor.other_rotors import rotor_azimuth
         from balance_cli.steps.reduce import ReduceOptions, reduce_run
 
         options = ReduceOptions(self.method.harmonics, self.method.rotor)
         loads = reduce_run(run, self.geometry, self.calibration, self.source, self.zero, options)
         if history.is_enabled:
+            from balance_cli.reduction.history_file import harmonic_history
+            from balance_cli.signals.rotor.other_rotors import rotor_azimuth
+
             of_rotor = replace(run, pulse_times=rotor_azimuth(run, self.method.rotor).pulse_times)
             for block in harmonic_history(of_rotor, loads):
                 history.file.add(block)

@@ -27,6 +27,9 @@ FILTER_CONTRADICTED = "filter contradicted"
 MODEL_CONTRADICTED = "model contradicted"
 """The response misses its own measured data by a share of the load that matters."""
 
+UNRESOLVED = "not resolved"
+"""The record is too short to resolve a mode of the balance, whose response is not one number within the bandwidth."""
+
 FLAGS = (
     NO_ZERO,
     NOT_MEASURED,
@@ -39,6 +42,7 @@ FLAGS = (
     UNMODELLED_LINE,
     FILTER_CONTRADICTED,
     MODEL_CONTRADICTED,
+    UNRESOLVED,
 )
 SEPARATOR = "; "
 
@@ -51,11 +55,11 @@ def join_flags(words: Iterable[str]) -> str:
 
 DOUBTFUL, TRUSTED = "doubtful", "good"
 NOT_TESTED = "not tested"
-NAMED_DOUBTS = (NOT_STEADY, EXTRAPOLATED, UNMODELLED_LINE)
+NAMED_DOUBTS = (NOT_STEADY, EXTRAPOLATED, UNMODELLED_LINE, UNRESOLVED)
 """Flags that a phrase of trust names, the first of them that a row has."""
 TRUST_WORDS = (
     ("contradicted", (REDUNDANCY, FILTER_CONTRADICTED, MODEL_CONTRADICTED)),
-    (DOUBTFUL, (EXTRAPOLATED, NO_WEIGHT, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE)),
+    (DOUBTFUL, (EXTRAPOLATED, NO_WEIGHT, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE, UNRESOLVED)),
     ("not measured", (NOT_MEASURED,)),
     ("untested", (UNTESTED,)),
     ("no zero", (NO_ZERO,)),

@@ -7,21 +7,21 @@ square of the load within it. They contain the noise of the channels, whose part
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.channel_health import ChannelHealth
-from balance_cli.campaign.recording.run import Run, pick_channels
+from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNTESTED, join_flags
+from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNRESOLVED, UNTESTED, join_flags
 from balance_cli.reduction.measured_response import highest_frequency
+from balance_cli.reduction.resolved_spectra import ResolvedSpectra, resolved_spectra
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     at_rotor_speed,
@@ -36,15 +36,13 @@ from balance_cli.reduction.untested_loads import row_sensors, untested_harmonics
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE, LoadEquations
 from balance_cli.signals import distributions
 from balance_cli.signals.anti_alias import anti_alias_response
-from balance_cli.signals.channel_noise import BLOCK_SAMPLES, CleanRecord, channel_noise
-from balance_cli.signals.cross_spectra import CrossSpectra, cross_spectra
+from balance_cli.signals.channel_noise import CleanRecord, channel_noise
+from balance_cli.signals.cross_spectra import CrossSpectra
 from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-WINDOWS = 16
-"""Windows end to end in a record; those that overlap make about 40 independent spectra, a random error of 16 %."""
 TRANSIENT_TIME_CONSTANTS = 7.0
 """Time constants of the slowest mode that are left out at the start: exp(-7) is a thousandth."""
 TRANSIENT_SHARE = 0.25
@@ -53,8 +51,6 @@ TESTED_FREQUENCIES = 32
 """Over a band, at which is examined whether a component rests on one sensor: one does at all of them."""
 BELOW_NYQUIST = 0.9
 """Of half the sample rate: the highest frequency of a spectrum."""
-BANDWIDTH_BINS = 2.0
-"""Noise bandwidth of the Blackman-Harris window in bins (Harris, Proc. IEEE 66, 1978, 51)."""
 
 
 @dataclass(frozen=True)
@@ -78,46 +74,54 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     health = usable_channels(run, geometry, source)
     run = source.remove_nonlinear_contribution(run, health.live)
     first = _first_sample(run, source)
-    spectra, has_loads = _measured_spectra(run, health, first), run.has_loads and run.kind == "check"
-    spectra = _within_band(spectra, run, source, band)
+    _require_band(run, source, band)
+    resolved, has_loads = resolved_spectra(run, source, health, first, band), run.has_loads and run.kind == "check"
+    spectra = resolved.spectra
     components = carried_components(geometry)
     clean = CleanRecord(run, health.live, ((first, run.samples),))
     inversion = _invert(run, geometry, source, health, spectra.frequency, channel_noise(clean, geometry.acquisition))
-    density = _densities(run, source, health, inversion, spectra, components)
+    density = _densities(run, source, health, inversion, resolved, components)
     is_redundant = inversion.T.shape[1] > len(components) and sensor_count(geometry, health.live) > len(components)
-    words = ("" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else "")
+    words = ["" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else ""]
+    words += [] if resolved.is_resolved else [UNRESOLVED]
     rejected = density.redundancy > density.limit
     return RunSpectra(
         run=run.name,
         kind=run.kind,
         response=source.description,
         components=components,
-        frequency_hz=spectra.frequency,
+        frequency_hz=resolved.average(spectra.frequency),
         density=2.0 * density.power,
         sigma=2.0 * density.sigma,
+        random_sigma=2.0 * density.random,
         noise=2.0 * density.noise,
         redundancy=density.redundancy,
         redundancy_limit=density.limit,
         flags=tuple(join_flags((*words, REDUNDANCY if bad else "")) for bad in rejected),
-        resolution_hz=BANDWIDTH_BINS * float(np.min(np.diff(spectra.frequency), initial=np.inf)),
-        averages=float(np.median(spectra.averages)),
+        resolution_hz=resolved.bandwidth,
+        averages=float(np.median(resolved.averages)),
         interval=(first / sample_rate(run), run.samples / sample_rate(run)),
         left_out=health.left_out,
         load_error=_load_error(spectra, inversion, components, geometry, len(health.live)) if has_loads else None,
-        untested=_rest_on_one_sensor(inversion, density, health, geometry, components) if is_redundant else None,
+        untested=_rest_on_one_sensor(inversion, density, resolved.bins, health, geometry, components)
+        if is_redundant
+        else None,
     )
 
 
 def _rest_on_one_sensor(
     inversion: _Inversion,
     density: _Densities,
+    bins: int,
     health: ChannelHealth,
     geometry: Geometry,
     components: tuple[str, ...],
 ) -> tuple[str, ...] | None:
-    """Return the components that rest on one sensor at all frequencies; None where none does."""
-    at = np.unique(np.linspace(0, len(inversion.T) - 1, TESTED_FREQUENCIES).astype(int))
-    T, G, covariance = stacked_real(inversion.T[at]), stacked_real(inversion.G[at]), circular_real(inversion.noise[at])
+    """Return the components that rest on one sensor at all frequencies, averages of `bins`; None where none does."""
+    at = np.unique(np.linspace(0, len(density.limit) - 1, TESTED_FREQUENCIES).astype(int))
+    middle = at * bins + bins // 2
+    T, G = stacked_real(inversion.T[middle]), stacked_real(inversion.G[middle])
+    covariance = circular_real(inversion.noise[middle])
     equations = LoadEquations(T, np.zeros(T.shape[:2]), covariance, G)
     degrees = np.full(len(at), float(T.shape[1] - T.shape[2]))
     names = row_sensors(health.live, inversion.rows, geometry, inversion.T.shape[1] == len(health.live))
@@ -127,10 +131,11 @@ def _rest_on_one_sensor(
 
 @dataclass(frozen=True)
 class _Densities:
-    """Two-sided densities (k, m) of the loads with sigma and their noise; residual test (k,) and its limit."""
+    """Two-sided densities (k, m) of the loads with sigma, its random part, and noise; residual test (k,), its limit."""
 
     power: Array
     sigma: Array
+    random: Array
     noise: Array
     redundancy: Array
     limit: Array
@@ -141,25 +146,32 @@ def _densities(
     source: ResponseSource,
     health: ChannelHealth,
     inversion: _Inversion,
-    spectra: CrossSpectra,
+    resolved: ResolvedSpectra,
     components: tuple[str, ...],
 ) -> _Densities:
-    """Return the densities of the loads.
+    """Return the densities of the loads, averaged over neighboring frequencies.
 
-    Sigma has three parts: the random error of an average of so many spectra; the error of the response, which is in
-    proportion to the load and enters twice; and the noise of the channels. Where the residual test rejects the
-    response, the last two are multiplied by its chi-square.
+    Sigma has four parts: the random error of an average of so many spectra; what the response changes by within the
+    bandwidth, which is added to the load, and varies as that does; the error of the response, which is in proportion to
+    the load and enters twice; and the noise of the channels. Where the residual test rejects the response, the last two
+    are multiplied by its chi-square.
     """
-    c = len(health.live)
+    c, spectra = len(health.live), resolved.spectra
     y = inversion.combination @ spectra.density[:, :c, :c] @ _adjoint(inversion.combination)
     density = inversion.G @ y @ _adjoint(inversion.G)
     model, known = _response_covariance(run, source, inversion, density, spectra.frequency, components)
-    redundancy, limit = _residual_test(inversion, y, model, spectra.averages)
-    power, noise = _power(density), _power(inversion.G @ inversion.noise @ _adjoint(inversion.G))
-    error = _power(inversion.G @ (model + known) @ _adjoint(inversion.G))
+    spread = resolved.spread(inversion.T, density)
+    redundancy, limit = _residual_test(inversion, y, model + spread, resolved)
+    error, added, noise = (
+        _power(inversion.G @ part @ _adjoint(inversion.G)) for part in (model + known, spread, inversion.noise)
+    )
+    each = _power(density)
+    parts = (each, noise, added, 2.0 * each * error, 2.0 * each * added)
+    power, noise, added, of_response, of_spread = (resolved.average(part) for part in parts)
     excess = np.where(redundancy > limit, redundancy, 1.0)[:, None]
-    variance = power**2 / spectra.averages[:, None] + 2.0 * power * error * excess + (excess * noise) ** 2
-    return _Densities(power, np.sqrt(variance), noise, redundancy, limit)
+    random = (power**2 + of_spread) / resolved.averages[:, None]
+    variance = random + added**2 + of_response * excess + (excess * noise) ** 2
+    return _Densities(power, np.sqrt(variance), np.sqrt(random), noise, redundancy, limit)
 
 
 def _first_sample(run: Run, source: ResponseSource) -> int:
@@ -168,35 +180,12 @@ def _first_sample(run: Run, source: ResponseSource) -> int:
     return int(min(transient, TRANSIENT_SHARE * run.samples))
 
 
-def _measured_spectra(run: Run, health: ChannelHealth, first: int) -> CrossSpectra:
-    """Return the cross spectra of the live channels, and behind them of the loads where the run has them."""
-    length = int(2 ** np.floor(np.log2(max((run.samples - first) / WINDOWS, 2.0))))
-    try:
-        return cross_spectra(_signals(run, health, first), 1.0 / sample_rate(run), length)
-    except ValueError as error:
-        raise UserError("is too short for a spectrum", run.file, "channels", "Record for longer") from error
-
-
-def _signals(run: Run, health: ChannelHealth, first: int) -> Iterator[tuple[int, Array]]:
-    """Yield the samples (n, c or c + 6) in blocks; windows do not reach from block to block."""
-    for start in range(first, run.samples, BLOCK_SAMPLES):
-        block = run.read(start, start + BLOCK_SAMPLES)
-        channels = pick_channels(block.channels, run.channel_names, health.live)
-        yield start, channels if block.loads is None else np.hstack([channels, block.loads])
-
-
-def _within_band(spectra: CrossSpectra, run: Run, source: ResponseSource, band: tuple[float, float]) -> CrossSpectra:
-    """Return the spectra within the band. UserError where they hold too few frequencies, or the response ends."""
+def _require_band(run: Run, source: ResponseSource, band: tuple[float, float]) -> None:
+    """Raise UserError where the record or the response ends below the band."""
     highest = min(BELOW_NYQUIST * sample_rate(run) / 2.0, highest_frequency(source))
     if band[1] > highest:
         fault = f"{band[1]:g} Hz is beyond what the record and the response hold, {highest:.5g} Hz"
         raise UserError(fault, run.file, "--band", "Give a lower end")
-    inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1])
-    if np.count_nonzero(inside) < 2:
-        step = float(np.min(np.diff(spectra.frequency)))
-        fault = f"holds fewer than two of its frequencies, which are {step:.3g} Hz apart"
-        raise UserError(fault, run.file, f"--band {band[0]:g} {band[1]:g}", "Give a wider band, or record for longer")
-    return spectra.at(inside)
 
 
 def _invert(
@@ -261,17 +250,17 @@ def _known_covariance(
 
 
 def _residual_test(
-    inversion: _Inversion, y: ComplexArray, model_covariance: ComplexArray, averages: Array
+    inversion: _Inversion, y: ComplexArray, model_covariance: ComplexArray, resolved: ResolvedSpectra
 ) -> tuple[Array, Array]:
-    """Return chi-square per degree of freedom (k,) of the redundant rows and its 99.9 % point; NaN without any."""
-    T, k = inversion.T, len(y)
+    """Return the averages of chi-square per degree of freedom of the redundant rows, and its 99.9 % points."""
+    T, k = inversion.T, len(resolved.averages)
     degrees = T.shape[1] - T.shape[2]
     if degrees <= 0:
         return np.full(k, np.nan), np.full(k, np.inf)
     W = np.linalg.inv(inversion.noise + model_covariance)
     Q = W - W @ T @ np.linalg.solve(_adjoint(T) @ W @ T, _adjoint(T) @ W)
-    chi2 = np.trace(Q @ y, axis1=1, axis2=2).real / degrees
-    dof = 2.0 * averages * degrees
+    chi2 = resolved.average(np.trace(Q @ y, axis1=1, axis2=2).real / degrees)
+    dof = 2.0 * resolved.averages * degrees
     return np.asarray(chi2), np.asarray(distributions.chi2.ppf(REDUNDANCY_CONFIDENCE, dof) / dof)
 
 

@@ -55,7 +55,7 @@ class RunSpectra(ResultView):
     the residual test with its limit; flags (k,); `resolution_hz`: noise bandwidth of a frequency; `averages`:
     independent spectra in the mean; interval [s] that was used; `load_error` {component applied: rms(reduced - applied)
     / rms(applied) over the band} of a check run; `untested`: components that rest on one sensor, None where all or none
-    do.
+    do; random_sigma (k, m) the part of sigma that differs from frequency to frequency.
     """
 
     run: str
@@ -75,6 +75,7 @@ class RunSpectra(ResultView):
     left_out: dict[str, str]
     load_error: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
     untested: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    random_sigma: Array | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def band_rms(self) -> dict[str, tuple[float, float]]:
@@ -82,9 +83,10 @@ class RunSpectra(ResultView):
         step = float(np.mean(np.diff(self.frequency_hz)))
         square = step * self.density.sum(axis=0)
         # The random error differs from frequency to frequency; that of the response may be the same at all of them.
-        random = self.density**2 / self.averages
+        random = self.density**2 / self.averages if self.random_sigma is None else self.random_sigma**2
         common = step * np.sqrt(np.maximum(self.sigma**2 - random, 0.0)).sum(axis=0)
-        width = CORRELATED_BANDWIDTH * self.resolution_hz
+        # Averages over neighbors are independent of each other, those of windows alone are not.
+        width = CORRELATED_BANDWIDTH * self.resolution_hz if self.resolution_hz > 1.5 * step else step
         spread = np.hypot(np.sqrt(step * width * random.sum(axis=0)), common)
         rms = np.sqrt(np.maximum(square, 0.0))
         return {name: (float(rms[i]), float(spread[i] / (2.0 * rms[i]))) for i, name in enumerate(self.components)}

@@ -44,26 +44,30 @@ def cross_spectra(
     step: float,
     length: int,
     select_bins: Callable[[int, Array], NDArray[np.bool_]] | None = None,
+    band: tuple[float, float] = (0.0, np.inf),
 ) -> CrossSpectra:
     """Estimate densities by Welch's method, with windows of `length` samples over parts (first sample, samples (n, c)).
 
     The mean of each window is removed, and the frequency bins next to zero and to the Nyquist frequency are left out
-    (Welch, IEEE Trans. Audio Electroacoust. 15, 1967, 70). `select_bins` returns, for the first sample of a window and
-    the frequencies (k,), which bins of that window count: so a harmonic that moves with the speed is excluded window by
-    window. The window is that of Blackman and Harris with four terms, whose side lobes are at -92 dB.
+    (Welch, IEEE Trans. Audio Electroacoust. 15, 1967, 70), as are those outside the `band` [Hz]. `select_bins` returns,
+    for the first sample of a window and the frequencies (k,), which bins of that window count: so a harmonic that moves
+    with the speed is excluded window by window. The window is that of Blackman and Harris with four terms, whose side
+    lobes are at -92 dB.
 
     Raises UserError where no part is as long as a window, or no bin is selected.
     """
     window = blackman_harris(length)
-    frequency = np.asarray(np.fft.rfftfreq(length, step), float)
-    inner = (np.arange(len(frequency)) >= MAIN_LOBE) & (np.arange(len(frequency)) < len(frequency) - MAIN_LOBE)
+    every = np.asarray(np.fft.rfftfreq(length, step), float)
+    places = np.arange(MAIN_LOBE, max(len(every) - MAIN_LOBE, MAIN_LOBE))
+    places = places[(every[places] >= band[0]) & (every[places] <= band[1])]
+    frequency = every[places]
     total: ComplexArray | None = None
     count = np.zeros(len(frequency))
     for first, part in parts:
         for start in range(0, len(part) - length + 1, length // 3):
             samples = part[start : start + length]
-            spectrum = np.fft.rfft((samples - samples.mean(axis=0)) * window[:, None], axis=0)
-            selected = inner if select_bins is None else inner & select_bins(first + start, frequency)
+            spectrum = np.fft.rfft((samples - samples.mean(axis=0)) * window[:, None], axis=0)[places]
+            selected = np.ones(len(places), bool) if select_bins is None else select_bins(first + start, frequency)
             if total is None:
                 total = np.zeros((len(frequency), spectrum.shape[1], spectrum.shape[1]), complex)
             counted = spectrum[selected]

@@ -110,7 +110,8 @@ def _line(x: Array, y: Array, sigma: Array) -> tuple[float, float, float, float,
     """Return slope, its standard error, intercept, p-value of the slope, and scatter over stated sigma."""
     nan = float("nan")
     if len(x) < 3 or np.ptp(x) == 0:
-        return nan, nan, float(np.mean(y)) if len(y) else nan, nan, nan
+        scatter = np.std(y, ddof=1) / np.sqrt(np.mean(sigma**2)) if len(y) > 1 and np.all(sigma > 0) else nan
+        return nan, nan, float(np.mean(y)) if len(y) else nan, nan, float(scatter)
     weight = 1.0 / np.maximum(sigma, np.finfo(float).tiny) ** 2 if np.all(sigma > 0) else np.ones(len(x))
     # Weights by stated noise alone would let one quiet run decide: the scatter between runs is added to each.
     weight = 1.0 / (1.0 / weight + _excess_variance(x, y, weight))

@@ -59,6 +59,13 @@ def test_a_slope_lies_within_its_sigma_and_others_are_none():
     assert 0.02 < np.mean(np.array(p_values) < 0.05) < 0.08
 
 
+def test_repeats_at_one_value_of_the_attribute_have_a_scatter_and_no_slope():
+    rng = np.random.default_rng(5)
+    trends = load_trends([a_point(i, rng) for i in range(40)], np.full(40, 17.5))
+    assert all(np.isnan(trend.slope) for trend in trends)
+    assert np.mean([trend.scatter for trend in trends]) == pytest.approx(1.0, abs=0.1)
+
+
 def test_scatter_beyond_the_stated_sigma_widens_that_of_the_slope():
     rng = np.random.default_rng(2)
     x = np.linspace(0.0, 10.0, 40)
