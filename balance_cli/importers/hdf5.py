@@ -20,7 +20,7 @@ from balance_cli.importers.base import (
     damage_error,
     select_columns,
 )
-from balance_cli.importers.matlab_members import CLASS, EMPTY, StoredMember, stored_members, text_of
+from balance_cli.importers.matlab_members import CLASS, EMPTY, StoredMember, own_items, stored_members, text_of
 from balance_cli.importers.matrices import scalar_of
 from balance_cli.importers.stored_scales import numbers_beside, stated_scale
 from balance_cli.importers.time_columns import TIME_NAME
@@ -96,20 +96,20 @@ def _list_datasets(path: Path) -> tuple[list[_Listed], dict[str, float], str | N
 
     listed: list[_Listed] = []
     scalars: dict[str, float] = {}
-
     found: dict[str, Any] = {}
+    classes: list[str] = []
 
     def visit(name: str, item: Any) -> None:
         if keeps_values_elsewhere(item):
             raise UserError("has its values in another file", place=name, remedy="Write them into this file")
+        classes.extend([name] if CLASS in item.attrs else [])
         if isinstance(item, h5py.Dataset) and not name.startswith(MATLAB_HIDDEN) and len(found) < MOST_DATASETS:
             found[name] = item
 
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-            is_matlab = any(CLASS in item.attrs for item in found.values())
-            members = _variables(file) if is_matlab else (StoredMember(name, item) for name, item in found.items())
+            members = _variables(file) if classes else (StoredMember(name, item) for name, item in found.items())
             for member in islice(members, MOST_DATASETS):
                 _add(member, listed, scalars)
             return _with_own_rates(listed), scalars, attribute_text(file.attrs.get("recorded"))
@@ -130,7 +130,7 @@ def _with_own_rates(listed: Sequence[_Listed]) -> list[_Listed]:
 
 def _variables(file: Any) -> Iterator[StoredMember]:
     """The members of all variables of MATLAB."""
-    for name, item in file.items():
+    for name, item in own_items(file).items():
         if name not in MATLAB_HIDDEN:
             yield from stored_members(name, item)
 

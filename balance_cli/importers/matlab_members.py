@@ -51,7 +51,7 @@ def _elements(name: str, item: Any) -> Iterator[tuple[str, Any]]:
     if not hasattr(item, "items"):
         yield from _numbered(name, _referred(item)) if _is_reference(item) else [(name, item)]
         return
-    fields = dict(item.items())
+    fields = own_items(item)
     arrays = {field: value for field, value in fields.items() if _is_reference(value) and CLASS not in value.attrs}
     if not arrays:
         yield name, fields
@@ -59,6 +59,20 @@ def _elements(name: str, item: Any) -> Iterator[tuple[str, Any]]:
     columns = {field: _referred(value) for field, value in arrays.items()}
     rows = zip(*columns.values(), strict=False)
     yield from _numbered(name, [dict(zip(columns, row, strict=True)) for row in rows])
+
+
+def own_items(group: Any) -> dict[str, Any]:
+    """Return what lies in a group itself, by name: links, which MATLAB does not make, may lead to any other file."""
+    import h5py
+
+    return {name: group[name] for name in group if isinstance(group.get(name, getlink=True), h5py.HardLink)}
+
+
+def _fields(element: Any) -> dict[str, Any] | None:
+    """The fields of a structure; None of a dataset."""
+    if isinstance(element, dict):
+        return element
+    return own_items(element) if hasattr(element, "items") else None
 
 
 def _numbered(name: str, elements: list[Any]) -> Iterator[tuple[str, Any]]:
@@ -86,7 +100,7 @@ def _stated_text(
         if field.lower() not in words or depth > 2:
             continue
         for _, element in _elements(field, value):
-            inner = dict(element.items()) if hasattr(element, "items") else None
+            inner = _fields(element)
             text = text_of(element) if inner is None else _stated_text(inner, within or words, depth=depth + 1)
             if text:
                 return text

@@ -83,6 +83,14 @@ def test_arrays_of_structures_and_cells_of_matlab_73(tmp_path: Path) -> None:
     assert entries["channels"]["chn[1].data"] == {"name": "F1", "unit": "mV"} and entries["sample_rate"] == 1000.0
 
 
+def test_an_array_of_structures_alone_is_read(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "zero.mat", "w", userblock_size=512) as file:
+        of_class(file.create_group("chn"), "struct")
+        data = [of_class(file.create_dataset(f"#refs#/d{k}", data=X[None, :, k]), "double") for k in range(2)]
+        references(file, "chn/data", data)
+    np.testing.assert_array_equal(values(open_foreign(tmp_path / "zero.mat"), "chn[1].data"), X[:, 0])
+
+
 def test_a_reference_to_itself_ends(tmp_path: Path) -> None:
     path = tmp_path / "zero.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -90,6 +98,16 @@ def test_a_reference_to_itself_ends(tmp_path: Path) -> None:
         cell = of_class(file.create_dataset("c", (2, 1), h5py.ref_dtype), "cell")
         cell[0, 0], cell[1, 0] = cell.ref, file["a"].ref
     assert "a" in [name for group in open_foreign(path).groups for name in group.names]
+
+
+def test_a_link_to_another_file_is_not_followed(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "private.h5", "w") as file:
+        file["secret"] = X[:, 0]
+    with h5py.File(tmp_path / "zero.mat", "w", userblock_size=512) as file:
+        of_class(file.create_dataset("a", data=X[None, :, 0]), "double")
+        of_class(file.create_group("s"), "struct")["b"] = h5py.ExternalLink("private.h5", "secret")
+        file["c"] = h5py.ExternalLink("private.h5", "secret")
+    assert [name for group in open_foreign(tmp_path / "zero.mat").groups for name in group.names] == ["a"]
 
 
 # ---- what converts integers ------------------------------------------------------------------------------------------
