@@ -20,7 +20,7 @@ from balance_cli.importers.base import (
     damage_error,
     select_columns,
 )
-from balance_cli.importers.matlab_members import CLASS, EMPTY, StoredMember, own_items, stored_members, text_of
+from balance_cli.importers.matlab_members import CLASS, EMPTY, StoredMember, is_text, own_items, stored_members
 from balance_cli.importers.matrices import scalar_of
 from balance_cli.importers.stored_scales import numbers_beside, stated_scale
 from balance_cli.importers.time_columns import TIME_NAME
@@ -146,7 +146,7 @@ def _add(member: StoredMember, listed: list[_Listed], scalars: dict[str, float])
             for field in item.dtype.names
             if item.dtype[field].shape != ()
         ]
-    if text_of(item) or EMPTY in item.attrs or _is_index(item):
+    if is_text(item) or EMPTY in item.attrs or _is_index(item):
         return
     size = int(np.prod(shape)) if shape else 1
     reason = _unusable(item)

@@ -19,6 +19,8 @@ from balance_cli.io.sniff import attribute_text
 CLASS = "MATLAB_class"
 EMPTY = "MATLAB_empty"
 """Attribute of a dataset that only holds the size of an empty array."""
+LONGEST_TEXT = 1000
+"""Characters of a name or a unit that are read."""
 
 
 class StoredMember(NamedTuple):
@@ -30,20 +32,33 @@ class StoredMember(NamedTuple):
     unit: str = ""
 
 
-def stored_members(name: str, item: Any, label: str = "", unit: str = "", depth: int = 0) -> Iterator[StoredMember]:
-    """Yield the datasets of numbers and texts in a variable, as `mat_members.members` does for other versions."""
-    if depth > DEEPEST or keeps_values_elsewhere(item) or EMPTY in item.attrs:
+def stored_members(
+    name: str, item: Any, label: str = "", unit: str = "", depth: int = 0, seen: set[int] | None = None
+) -> Iterator[StoredMember]:
+    """Yield the datasets of numbers and texts in a variable, as `mat_members.members` does for other versions.
+
+    What was `seen` (addresses in the file) is left out: references of a damaged file may lead to what refers to them.
+    """
+    seen = set() if seen is None else seen
+    if depth > DEEPEST or _address(item) in seen or keeps_values_elsewhere(item) or EMPTY in item.attrs:
         return
+    seen.add(_address(item))
     for own, element in _elements(name, item):
         if isinstance(element, dict):
             called = _stated_text(element, NAME_FIELDS) or label
             measured_in = _stated_text(element, UNIT_FIELDS, NAME_FIELDS) or unit
             for field, value in element.items():
-                yield from stored_members(f"{own}.{field}", value, called, measured_in, depth + 1)
+                yield from stored_members(f"{own}.{field}", value, called, measured_in, depth + 1, seen)
         elif element is item:
             yield StoredMember(own, item, label, unit)
         else:
-            yield from stored_members(own, element, label, unit, depth + 1)
+            yield from stored_members(own, element, label, unit, depth + 1, seen)
+
+
+def _address(item: Any) -> int:
+    import h5py
+
+    return int(h5py.h5o.get_info(item.id).addr)
 
 
 def _elements(name: str, item: Any) -> Iterator[tuple[str, Any]]:
@@ -107,8 +122,13 @@ def _stated_text(
     return ""
 
 
+def is_text(item: Any) -> bool:
+    """Return whether a dataset holds characters."""
+    return attribute_text(item.attrs.get(CLASS)) == "char"
+
+
 def text_of(item: Any) -> str:
-    """Return the text of a dataset of characters; empty where it is none."""
-    if attribute_text(item.attrs.get(CLASS)) != "char" or EMPTY in item.attrs:
+    """Return the text of a dataset of characters; empty where it is none, or no name or unit by its length."""
+    if not is_text(item) or EMPTY in item.attrs or item.dtype != np.uint16 or item.size > LONGEST_TEXT:
         return ""
     return " ".join("".join(chr(code) for code in np.ravel(item[()])).split())

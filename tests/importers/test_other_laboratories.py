@@ -95,8 +95,8 @@ def test_a_reference_to_itself_ends(tmp_path: Path) -> None:
     path = tmp_path / "zero.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         of_class(file.create_dataset("a", data=X[None, :, 0]), "double")
-        cell = of_class(file.create_dataset("c", (2, 1), h5py.ref_dtype), "cell")
-        cell[0, 0], cell[1, 0] = cell.ref, file["a"].ref
+        cell = of_class(file.create_dataset("c", (300, 1), h5py.ref_dtype), "cell")
+        cell[:, 0] = [cell.ref] * 300
     assert "a" in [name for group in open_foreign(path).groups for name in group.names]
 
 
