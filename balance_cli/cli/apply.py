@@ -29,8 +29,8 @@ FIRST_ROW = "first"
     "zero",
     type=WordOrFile(),
     metavar="first|FILE",
-    help="Reading of the unloaded balance: `first`, the first row of each run (for the rows of its other load series "
-    "sigma contains the scatter of the zeros of the calibration), or a table or run of unloaded rows. "
+    help="Reading of the unloaded balance: `first`, the first row of each run, or a table or run of unloaded rows. For "
+    "rows of other load series, and with a file for all, sigma contains the scatter of the zeros of the calibration. "
     "Default: rows of the kind `tare`; without them the mean zero of the calibration, with the flag `no zero`.",
 )
 @click.option(
@@ -88,7 +88,7 @@ def command(
         loads = [move_moment_center(run, result.geometry, moment_center) for run in loads]
     columns = output_units(result, opened, load_units)
     session.write_text(output, loads_csv(opened, loads, columns))
-    for note in apply_warnings(loads):
+    for note in apply_warnings(loads, opened, result):
         session.warn(note)
     summary = {**apply_summary(loads), "scale_evidence": scale_evidence_of(result)}
     session.finish(summary, [*apply_text(loads, columns), *scale_text(result)])

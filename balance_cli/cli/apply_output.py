@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from io import StringIO
@@ -95,12 +96,26 @@ def _run_summary(run: PointLoads) -> dict[str, Any]:
     return summary
 
 
-def apply_warnings(loads: Sequence[PointLoads]) -> Iterator[str]:
-    """Warnings about absent channels, and about rows in attitudes in which the weight is not known."""
+def apply_warnings(loads: Sequence[PointLoads], tables: Sequence[LoadTable], calibration: Calibration) -> Iterator[str]:
+    """Warnings about absent channels, and about rows in attitudes in which the weight is not known, or none stated."""
+    yield from _unstated_attitudes(tables, calibration)
     for run in loads:
         yield from _attitude_warning(run)
         if run.left_out:
             yield f"{run.run}: channels absent: {', '.join(run.left_out)}; the others determine the loads"
+
+
+def _unstated_attitudes(tables: Sequence[LoadTable], calibration: Calibration) -> Iterator[str]:
+    """Tables without attitudes, where the calibration knows the weight of the metric part."""
+    tares = None if calibration.all_trims is None else calibration.all_trims.tares
+    for table in tables if tares is not None else ():
+        assert tares is not None
+        if table.attitude is None:
+            change = math.radians(1.0) * tares.weight
+            yield (
+                f"{table.path.name} states no attitude and counts as level: the weight of the metric part, "
+                f"{tares.weight:.4g} N, changes the forces by {change:.3g} N for each degree; state `pitch` and `roll`"
+            )
 
 
 def _attitude_warning(run: PointLoads) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +53,7 @@ def command(
     """Estimate the frequency responses of sweeps, with covariance."""
     from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.diagnosis.consistency.severity import measured_anyway
+    from balance_cli.signals.response.repeated_responses import contradicting_responses
     from balance_cli.steps.sweep_tf import estimate_responses
 
     band = (lowest or 0.0, float("inf") if highest is None else highest)
@@ -62,9 +64,15 @@ def command(
     transfer = estimate_responses(
         opened, rig, estimator, band, lambda sweeps: session.progress(sweeps, "responses", len(sweeps), False)
     )
+    contradictions = tuple(contradicting_responses(transfer))
     with session.collect_messages():
         _report_runs(session, transfer)
-    session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
+        for text in contradictions:
+            session.warn(text)
+    kept = with_findings(session, transfer)
+    session.save(
+        output, TRANSFER_FORMAT, replace(kept, consistency=(*(kept.consistency or ()), *contradictions) or None)
+    )
     session.finish(_summary(transfer), _text(transfer))
 
 

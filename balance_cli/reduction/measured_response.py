@@ -24,6 +24,7 @@ from balance_cli.reduction.response_sources import (
     select_channels,
 )
 from balance_cli.signals.anti_alias import is_filter_contradicted
+from balance_cli.signals.response.choices import has_contradicting_responses
 
 if TYPE_CHECKING:  # Reductions by a model ask for the type of their source, and interpolate nothing.
     from balance_cli.reduction.spin_dependence import SpinDependence
@@ -168,7 +169,8 @@ def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
             if loads
         },
         at_speeds=selected(item for item in at_speeds if set(channels) <= set(item.channel_names)),
-        is_contradicted=is_filter_contradicted(transfer.consistency),
+        is_contradicted=is_filter_contradicted(transfer.consistency)
+        or has_contradicting_responses(transfer.consistency),
     )
 
 

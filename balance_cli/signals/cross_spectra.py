@@ -119,7 +119,9 @@ def _summed_power(windows: Real, taper: Real, bins: slice) -> Real:
 
 def _no_window_error(seconds: float) -> UserError:
     fault = f"no part of the record is as long as a window of {seconds:.2g} s with bins between harmonics"
-    return UserError(fault, place="channels", remedy="Use --method harmonic, or record for longer")
+    return UserError(
+        fault, place="channels", remedy="Use --method harmonic or --load-model random, or record for longer"
+    )
 
 
 def _median_of_mean(averages: float) -> float:

@@ -107,7 +107,13 @@ def zero_reading(table: LoadTable) -> ZeroReading:
 
 
 def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
-    """A static run (or the samples of a zero record) as a table; its lines are the rows, counted from 1."""
+    """A static run (or the samples of a zero record) as a table; its lines are the rows, counted from 1.
+
+    Raises UserError for a run of another kind, whose samples are no points.
+    """
+    if run.kind not in ("static", "zero"):
+        remedy = "Give a static or a zero run; `balance reduce` computes the loads of records"
+        raise UserError(f"is a {run.kind} run, whose samples are no points", run.file, "attribute `kind`", remedy)
     block = run.read()
     names = tuple(name for name in geometry.channel_names if name in run.channel_names)
     return LoadTable(

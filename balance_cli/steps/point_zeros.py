@@ -97,7 +97,8 @@ def change_from_zero(
         mean = zero.mean[[zero.channel_names.index(name) for name in names]]
         own_weight = np.zeros((1, len(model.components))) + weight(None if zero.gravity is None else zero.gravity[None])
         own = model.readings(own_weight)[:, rows]
-        return values - mean + own, SubtractedZero(np.full(n, 1.0 / zero.rows), np.zeros(n), "zero record")
+        # The zero of another load series, whose own differs by what the zeros of two of them do.
+        return values - mean + own, SubtractedZero(np.full(n, 1.0 / zero.rows), np.full(n, 2.0), "zero record")
     if model.load_series == (WITHOUT_ZEROS,):
         fault = "the calibration is a matrix without zeros, and no row is marked as that of the unloaded balance"
         raise UserError(

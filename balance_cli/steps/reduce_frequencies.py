@@ -14,10 +14,12 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.flags import NOT_STEADY
 from balance_cli.reduction.reliability import join_harmonics
 from balance_cli.reduction.response_sources import ResponseSource, at_rotor_speed
 from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.reduction.rotor_record import count_cycles, tone_record
+from balance_cli.reduction.tone_frequency import ToneTurn, tone_turn
 from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
 from balance_cli.signals.run_samples import sample_rate
@@ -50,8 +52,21 @@ def reduce_run_at_frequencies(
         others = [f for f in given if f != frequency]
         record = tone_record(run, frequency, others, geometry, source)
         loads = reduce_record(record, geometry, calibration, source, zero)
+        loads = _flag_turning(loads, frequency, tone_turn(run, frequency, others, geometry, source))
         parts.append(replace(loads, frequency_hz=np.array([0.0, frequency])))
     return _join_tones(parts)
+
+
+def _flag_turning(loads: RunLoads, frequency: float, turn: ToneTurn | None) -> RunLoads:
+    """Return the loads of a tone flagged where it turns within the record: it has another frequency, or none."""
+    if turn is None or not turn.is_significant:
+        return loads
+    at = frequency + turn.error
+    note = (
+        f"the tone at {frequency:g} Hz turns by {np.degrees(turn.angle):.2g} +- {np.degrees(turn.sigma):.1g} deg from "
+        f"one half of the record to the other: it may be at {at:.6g} Hz, or is not steady"
+    )
+    return loads.with_flag(NOT_STEADY, note, where=np.arange(len(loads.amplitude))[:, None] > 0)
 
 
 def with_pulses_at(run: Run, frequency: float) -> Run:

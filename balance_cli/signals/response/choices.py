@@ -13,3 +13,11 @@ ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 Interpolation = Literal["local", "spline", "first-order", "nearest"]
 INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
 """How a measured response is interpolated; the first is the default."""
+
+CONTRADICTING_RESPONSES = "responses of several sweeps contradict each other: "
+"""How the finding begins that two sweeps of one component do not agree; responses keep it among their findings."""
+
+
+def has_contradicting_responses(findings: tuple[str, ...] | None) -> bool:
+    """Return whether the findings on the sweeps say that responses contradict each other."""
+    return any(text.startswith(CONTRADICTING_RESPONSES) for text in findings or ())
