@@ -53,7 +53,6 @@ def command(
     """Estimate the frequency responses of sweeps, with covariance."""
     from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.diagnosis.consistency.severity import measured_anyway
-    from balance_cli.signals.response.repeated_responses import contradicting_responses
     from balance_cli.steps.sweep_tf import estimate_responses
 
     band = (lowest or 0.0, float("inf") if highest is None else highest)
@@ -64,7 +63,7 @@ def command(
     transfer = estimate_responses(
         opened, rig, estimator, band, lambda sweeps: session.progress(sweeps, "responses", len(sweeps), False)
     )
-    contradictions = tuple(contradicting_responses(transfer))
+    contradictions = _contradictions(transfer)
     with session.collect_messages():
         _report_runs(session, transfer)
         for text in contradictions:
@@ -74,6 +73,15 @@ def command(
         output, TRANSFER_FORMAT, replace(kept, consistency=(*(kept.consistency or ()), *contradictions) or None)
     )
     session.finish(_summary(transfer), _text(transfer))
+
+
+def _contradictions(transfer: Transfer) -> tuple[str, ...]:
+    """Return what several sweeps of one component say differently."""
+    if len(transfer.responses) < 2:
+        return ()
+    from balance_cli.signals.response.repeated_responses import contradicting_responses
+
+    return tuple(contradicting_responses(transfer))
 
 
 def _report_runs(session: Session, transfer: Transfer) -> None:
