@@ -23,6 +23,7 @@ from balance_cli.estimation.batch import Batch, BatchRun
 from balance_cli.estimation.inner_products import MANY_PARAMETERS, real_inner_product
 from balance_cli.estimation.recorded_loads import attached_exciters
 from balance_cli.estimation.shared_solutions import SharedSolutions
+from balance_cli.estimation.transient_prior import prior_weight
 from balance_cli.model.response_jacobian import Selection, mask_or_full_slice
 from balance_cli.model.transient_modes import TransientModes, divided_differences
 from balance_cli.signals.waveform_types import AnalysisWindow
@@ -32,15 +33,10 @@ ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 WeightFunction = Callable[[slice, ComplexArray], ComplexArray]
 
-# A transient from rest begins as minus the forced motion, of the size of the channels' rms; single modes, which partly
-# cancel, may be larger.
-MAX_AMPLITUDE_RATIO = 10.0
 # Decay of a mode before the first line, as a logarithm, beyond which it is left out: exp(-18.4) = 1e-8.
 MAX_DECAY = 18.4
 # Growth of a mode over the record, as a logarithm, beyond which the parameters are rejected: exp(50) = 5e21.
 MAX_GROWTH = 50.0
-# Least rms of a channel relative to the largest, so that a computed signal of zero has a finite prior.
-MIN_SIGNAL_RATIO = 1e-9
 
 
 @dataclass(frozen=True)
@@ -109,9 +105,9 @@ def fit_transients(
         frequency = batch.frequency[batch.lines.index[lines]]
         if not len(free.s):
             continue
-        columns, prior_weight = transient_columns(free, window, frequency), _prior_weight(batch, run.lines)
+        columns, weight = transient_columns(free, window, frequency), prior_weight(batch, run.lines)
         weighted = apply_weight(lines, columns)
-        fits.append(_fit_transient(lines, window, frequency, free, columns, weighted, prior_weight, residual[lines]))
+        fits.append(_fit_transient(lines, window, frequency, free, columns, weighted, weight, residual[lines]))
     return tuple(fits)
 
 
@@ -144,14 +140,6 @@ def _fit_transient(
     normal = 2.0 * real_inner_product(weighted, columns) + np.real(bound.conj().T @ bound)
     x = _solve_scaled(normal, 2.0 * real_inner_product(weighted, residual[:, :, None])[:, 0])
     return RunTransient(lines, window, frequency, free, columns, weighted, prior_weight, bound, normal, x)
-
-
-def _prior_weight(batch: Batch, lines: slice) -> Array:
-    """One over the largest transient (c,) [1/V] that is expected in each live channel."""
-    rms = np.sqrt(0.5 * np.sum(np.abs(batch.lines.channels[lines]) ** 2, axis=0))
-    c = len(rms)
-    is_live = np.real(np.diagonal(batch.lines.precision[lines.start]))[:c] > 0
-    return np.where(is_live, 1.0 / (MAX_AMPLITUDE_RATIO * np.maximum(rms, MIN_SIGNAL_RATIO * rms.max())), 0.0)
 
 
 def _solve_scaled(normal: Array, right: Array) -> Array:
