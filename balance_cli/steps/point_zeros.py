@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.trim_model import WITHOUT_ZEROS
 from balance_cli.io.errors import UserError
+from balance_cli.signals import distributions
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 CALIBRATION_ZERO = "mean of the calibration"
 """The zero, in words, where no row or record of the unloaded balance is known."""
+MOVEMENT_CONFIDENCE = 0.999
+"""Confidence at which the zeros of a group differ by more than their noise."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,9 @@ def change_from_zero(
     if readings.is_zero.any():
         unloaded = values - _tare_loads_reading(readings, model, weight(readings.gravity))[:, rows]
         zeros, counts = _zeros_by_group(unloaded, readings.zero_group, readings.is_zero)
-        zero_of = SubtractedZero(1.0 / counts, _scatter_share(readings), "rows of the unloaded balance")
+        noise = np.diag(model.residual_covariance)[rows]
+        moved = _movement_by_group(unloaded, readings.zero_group, readings.is_zero, noise)
+        zero_of = SubtractedZero(1.0 / counts + moved, _scatter_share(readings), "rows of the unloaded balance")
         return values - zeros, zero_of
     if zero is not None:
         missing = [name for name in names if name not in zero.channel_names]
@@ -135,3 +140,21 @@ def _zeros_by_group(unloaded: Array, group: Index, is_zero: NDArray[np.bool_]) -
         zeros[members] = unloaded[members & is_zero].mean(axis=0)
         counts[members] = np.count_nonzero(members & is_zero)
     return zeros, counts
+
+
+def _movement_by_group(unloaded: Array, group: Index, is_zero: NDArray[np.bool_], noise: Array) -> Array:
+    """Variance (n,) of the zeros of each row's group about their mean, over the `noise` (c,) of a reading.
+
+    It is that of a zero which drifts or jumps within the group, at a row in between; nothing where noise explains it.
+    """
+    moved = np.zeros(len(unloaded))
+    for number in np.unique(group).tolist():
+        members = group == number
+        own = members & is_zero if (members & is_zero).any() else is_zero
+        dof = (np.count_nonzero(own) - 1) * unloaded.shape[1]
+        if dof <= 0 or not np.all(noise > 0.0):
+            continue
+        ratio = float(np.sum((unloaded[own] - unloaded[own].mean(axis=0)) ** 2 / noise)) / dof
+        if ratio * dof > distributions.chi2.ppf(MOVEMENT_CONFIDENCE, dof):
+            moved[members] = ratio
+    return moved

@@ -225,3 +225,18 @@ def test_a_load_that_rests_on_one_sensor_is_untested(campaign, calibration) -> N
     untested = [word.split()[1:] for flag in loads.flags for word in flag.split("; ") if word.startswith("untested")]
     assert len(untested) == len(loads.flags)
     assert all({"Fx", "Mz"} <= set(names) <= {"Fx", "My", "Mz"} for names in untested)
+
+
+def test_a_zero_that_drifts_between_its_rows_is_in_sigma(calibrated: Path) -> None:
+    """First and last row are marked as the zero, and the bridges have crept by 20 times their noise in between."""
+    rng, errors = np.random.default_rng(8), []
+    for number in range(6):
+        loads = rng.uniform(-0.8, 0.8, (40, 3)) * FULL
+        loads[[0, -1]] = 0.0
+        creep = np.linspace(0.0, 20.0 * NOISE, 40)[:, None] * rng.normal(size=4)
+        kinds = ["tare", *["load"] * 38, "tare"]
+        table = write_table(calibrated / f"creep{number}.csv", loads, rng, zero=creep, kinds=kinds)
+        found = apply(calibrated, table)
+        columns = [f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True)]
+        errors += [found[f"error_{column}"] / found[f"sigma_{column}"] for column in columns]
+    assert np.mean(np.abs(np.concatenate(errors)) < 1.96) > 0.9
