@@ -169,7 +169,8 @@ def test_runs_that_contradict_each_other_are_refused_as_by_the_commands(runs, ge
 def test_what_runs_contradict_reaches_results_and_flags(tmp_path, runs, geometry, calibration):
     spoiled = with_scaled_channel(runs["check"], 4.0)
     responses = bal.frequency_response([with_scaled_channel(runs["sweep-low"], 1.3), runs["sweep-high"]], geometry)
-    (text,) = responses.consistency
+    contradiction, text = responses.consistency
+    assert "in sweep-low differs from that in sweep-high, which is used" in contradiction
     assert "times what the loads make" in text and "warning: " in repr(responses)
     inputs = {"cal.h5": calibration, "tf.h5": responses}
     for name, result in inputs.items():

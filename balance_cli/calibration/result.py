@@ -124,7 +124,7 @@ class Calibration(ResultView):
     standard errors, hysteresis and lack of fit are NaN, covariances of coefficients zero. `consistency`: what the
     cross-checks said of the runs, None where nothing. `temperature`: what temperature adds to the readings; None where
     it has no effect, or is not known. `stated_temperatures`: lowest and highest of the runs [degC], where these state
-    any.
+    any and `temperature` is None.
     """
 
     geometry: Geometry

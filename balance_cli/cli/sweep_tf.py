@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,29 +62,16 @@ def command(
     transfer = estimate_responses(
         opened, rig, estimator, band, lambda sweeps: session.progress(sweeps, "responses", len(sweeps), False)
     )
-    contradictions = _contradictions(transfer)
     with session.collect_messages():
         _report_runs(session, transfer)
-        for text in contradictions:
-            session.warn(text)
-    kept = with_findings(session, transfer)
-    session.save(
-        output, TRANSFER_FORMAT, replace(kept, consistency=(*(kept.consistency or ()), *contradictions) or None)
-    )
+    session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
     session.finish(_summary(transfer), _text(transfer))
 
 
-def _contradictions(transfer: Transfer) -> tuple[str, ...]:
-    """Return what several sweeps of one component say differently."""
-    if len(transfer.responses) < 2:
-        return ()
-    from balance_cli.signals.response.repeated_responses import contradicting_responses
-
-    return tuple(contradicting_responses(transfer))
-
-
 def _report_runs(session: Session, transfer: Transfer) -> None:
-    """Say which runs and channels are not used, and where the transient has not ended."""
+    """Say which runs and channels are not used, which sweeps disagree, and where the transient has not ended."""
+    for text in transfer.consistency or ():
+        session.warn(text)
     for name, reason in transfer.unused_runs.items():
         session.report_left_out(name, reason)
     for run, channels in transfer.channels_left_out.items():

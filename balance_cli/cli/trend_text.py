@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -137,9 +136,9 @@ def trend_text(result: TrendResult) -> Iterator[str]:
     for trend in result.trends:
         name = f"{trend.component} {trend.unit}"
         line = (f"{trend.slope:13.4g}", f"{trend.sigma_slope:11.2g}", f"{trend.p_value:10.2g}")
-        numbers = "".join(line) if isfinite(trend.slope) else " " * len("".join(line))
+        numbers = "".join(line) if math.isfinite(trend.slope) else " " * len("".join(line))
         yield f"   {name:10}{trend.quantity:>10}{numbers}{trend.scatter:15.3g}"
-    if not any(isfinite(trend.slope) for trend in result.trends):
+    if not any(math.isfinite(trend.slope) for trend in result.trends):
         yield f"   no slopes: they need three runs, not all at one value of {result.attribute}"
     yield from _outlier_text(result)
     yield from _drift_text(result)

@@ -131,6 +131,13 @@ def distinct_names(groups: Sequence[ChannelGroup]) -> tuple[ChannelGroup, ...]:
     return tuple(renamed)
 
 
+def as_numbers(values: Any) -> Array:
+    """Return values as numbers: time stamps as seconds from 1970, durations as seconds."""
+    array = np.asarray(values)
+    array = array - np.datetime64(0, "s") if array.dtype.kind == "M" else array
+    return np.asarray(array / np.timedelta64(1, "s") if array.dtype.kind == "m" else array, np.float64)
+
+
 def impossible_size(path: Path, samples: int, channels: int) -> str:
     """Return why a file cannot hold what a group declares, as `unusable` of the group; empty where it can."""
     declared, stored = 8 * samples * channels, path.stat().st_size

@@ -14,6 +14,7 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
+    as_numbers,
     errors_as_damage,
     require_package,
 )
@@ -71,7 +72,4 @@ def _numbers(column: Any) -> Array:
         column = column.cast(pyarrow.float64())
     elif pyarrow.types.is_time(column.type):
         column = column.cast(pyarrow.time64("ns")).cast(pyarrow.int64()).cast(pyarrow.duration("ns"))
-    values = column.to_numpy()
-    if values.dtype.kind == "M":
-        values = values - np.datetime64(0, "s")
-    return np.asarray(values / np.timedelta64(1, "s") if values.dtype.kind == "m" else values, np.float64)
+    return as_numbers(column.to_numpy())

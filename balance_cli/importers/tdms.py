@@ -17,6 +17,7 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
+    as_numbers,
     errors_as_damage,
     require_package,
 )
@@ -98,15 +99,7 @@ class _OpenFile:
     def read(self, group: str, name: str, start: int, stop: int) -> Array:
         """Samples start to stop of a channel."""
         with errors_as_damage(self.path, name):
-            return _as_numbers(self._file[group][name].read_data(start, stop - start))
-
-
-def _as_numbers(values: Any) -> Array:
-    """Values as numbers, time stamps as seconds from 1970."""
-    array = np.asarray(values)
-    if array.dtype.kind == "M":
-        return np.asarray((array - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
-    return np.asarray(array, np.float64)
+            return as_numbers(self._file[group][name].read_data(start, stop - start))
 
 
 def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:

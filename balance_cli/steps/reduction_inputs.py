@@ -132,9 +132,12 @@ def compared_zero(zeros: Sequence[Run], calibration: Calibration, record: Run) -
 def _lost_channels_warning(run: Run, zero: ZeroRecord, calibration: Calibration) -> str:
     """Return that mean loads do without channels that cannot be used in the zero run; empty where there are none."""
     used = [name for trim in calibration.trims.values() for name in trim.channel_names]
-    lost = live_channels(run, calibration.geometry).left_out
-    words = [f"{name} ({lost.get(name, 'not read')})" for name in dict.fromkeys(used) if name not in zero.channel_names]
-    return f"mean loads do without {', '.join(words)} of {run.file or run.name}" if words else ""
+    lost = [name for name in dict.fromkeys(used) if name not in zero.channel_names]
+    if not lost:
+        return ""
+    reasons = live_channels(run, calibration.geometry).left_out
+    words = ", ".join(f"{name} ({reasons.get(name, 'not read')})" for name in lost)
+    return f"mean loads do without {words} of {run.file or run.name}"
 
 
 def _require_one_zero(zeros: Sequence[Run]) -> None:

@@ -45,7 +45,8 @@ def estimate_responses(
     """Estimate the responses of all sweeps among the runs, at their lines within `band` [Hz].
 
     `estimator` is one of ESTIMATORS; `progress` returns the sweeps one by one as they are worked on. Raises UserError
-    where no run is a sweep, and where a sweep has no live channel or cannot be used by the estimator.
+    where no run is a sweep, and where a sweep has no live channel or cannot be used by the estimator. Sweeps of one
+    component that contradict each other are in `consistency`.
     """
     if not band[0] < band[1]:
         raise UserError(
@@ -63,7 +64,7 @@ def estimate_responses(
     at_hub = _periodic_responses(records)
     at_hub += [item for item in measured if isinstance(item, FrequencyResponse)]
     responses, faults = _add_point_responses(at_hub, points)
-    return Transfer(
+    transfer = Transfer(
         geometry=geometry,
         responses=tuple(responses),
         estimator=estimator,
@@ -72,6 +73,16 @@ def estimate_responses(
         unused_runs=unused | faults,
         usual_noise=measure_usual_noise(runs, geometry.channel_names) or None,
     )
+    return _with_contradictions(transfer)
+
+
+def _with_contradictions(transfer: Transfer) -> Transfer:
+    """The responses with what several sweeps of one component say differently among their findings."""
+    if len(transfer.responses) < 2:
+        return transfer
+    from balance_cli.signals.response.repeated_responses import contradicting_responses
+
+    return replace(transfer, consistency=tuple(contradicting_responses(transfer)) or None)
 
 
 def _measure_sweep(

@@ -190,6 +190,16 @@ def test_arrays_that_are_no_records_are_named(tmp_path: Path) -> None:
     assert "not usable: B: an array of 3 dimensions" in sketch(tmp_path / "zero.mat")[0]
 
 
+def test_time_stamps_of_tdms_are_times(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    stamps = np.datetime64("2024-03-12T12:00:00", "us") + (1e6 * TIMES).astype("timedelta64[us]")
+    with nptdms.TdmsWriter(tmp_path / "zero.tdms") as writer:
+        writer.write_segment([nptdms.ChannelObject("g", "Time", stamps), nptdms.ChannelObject("g", "A", X[:, 0])])
+    np.testing.assert_allclose(np.diff(values(open_foreign(tmp_path / "zero.tdms"), "Time")), 1e-3, atol=1e-6)
+    entries = sketch(tmp_path / "zero.tdms")[1]
+    assert entries["time"] == "Time" and set(entries["channels"]) == {"A"}
+
+
 def test_decimals_and_durations_of_parquet(tmp_path: Path) -> None:
     pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     columns = {
