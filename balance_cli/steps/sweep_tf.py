@@ -45,8 +45,8 @@ def estimate_responses(
     """Estimate the responses of all sweeps among the runs, at their lines within `band` [Hz].
 
     `estimator` is one of ESTIMATORS; `progress` returns the sweeps one by one as they are worked on. Raises UserError
-    where no run is a sweep, and where a sweep has no live channel or cannot be used by the estimator. Sweeps of one
-    component that contradict each other are in `consistency`.
+    where no run is a sweep, and where a sweep has no live channel or cannot be used by the estimator. Sweeps that
+    contradict each other are in `consistency`.
     """
     if not band[0] < band[1]:
         raise UserError(
@@ -77,12 +77,14 @@ def estimate_responses(
 
 
 def _with_contradictions(transfer: Transfer) -> Transfer:
-    """The responses with what several sweeps of one component say differently among their findings."""
+    """The responses with what several sweeps say differently of the rig among their findings."""
     if len(transfer.responses) < 2:
         return transfer
+    from balance_cli.signals.response.common_modes import contradicting_modes
     from balance_cli.signals.response.repeated_responses import contradicting_responses
 
-    return replace(transfer, consistency=tuple(contradicting_responses(transfer)) or None)
+    found = (*contradicting_responses(transfer), *contradicting_modes(transfer))
+    return replace(transfer, consistency=found or None)
 
 
 def _measure_sweep(

@@ -36,6 +36,7 @@ from balance_cli.diagnosis.consistency.frequencies import FrequencyMismatch, fre
 from balance_cli.diagnosis.consistency.hub import hub_shift
 from balance_cli.diagnosis.consistency.noise_levels import noise_findings
 from balance_cli.diagnosis.consistency.search import find_mistakes
+from balance_cli.diagnosis.consistency.silent_channels import silent_channels
 from balance_cli.diagnosis.consistency.static_units import static_unit_findings
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, suggest_units
 from balance_cli.model.balance import balance_model
@@ -119,9 +120,14 @@ def findings_from_rows(
             groups.setdefault(channel.cell, []).append(index)
     by_source = tuple(map(tuple, groups.values()))
     mistakes, corrected = find_mistakes(runs, by_source)
+    # Loads in other axes leave cells silent that others would load.
+    silent, heard = silent_channels(corrected, geometry.channel_names)
+    if silent:
+        silent, heard = silent_channels(runs, geometry.channel_names)
+        mistakes, corrected = find_mistakes(heard, by_source)
     if mistakes and _is_moved_hub(rows, runs, geometry, by_source):
         mistakes, corrected = [], runs
-    findings = [*describe_mistakes(mistakes, geometry)]
+    findings = [*silent, *describe_mistakes(mistakes, geometry)]
     if mismatch is None or mismatch.factor is None:  # the mistakes may have hidden it, or been taken for it
         mismatch = frequency_mismatch(corrected, geometry, system) if mistakes else mismatch
     findings += _frequency_findings(mismatch)

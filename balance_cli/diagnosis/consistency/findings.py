@@ -12,6 +12,7 @@ WARNING = "warning"
 EXCHANGED_CHANNELS = "exchanged channels"
 REVERSED_CHANNEL = "reversed channel"
 CHANNEL_FACTOR = "channel factor"
+SILENT_CHANNEL = "silent channel"
 REVERSED_CELL = "reversed cell"
 REVERSED_LOAD = "reversed load"
 EXCHANGED_LOADS = "exchanged loads"
@@ -34,6 +35,7 @@ KINDS = (
     EXCHANGED_CHANNELS,
     REVERSED_CHANNEL,
     CHANNEL_FACTOR,
+    SILENT_CHANNEL,
     REVERSED_CELL,
     REVERSED_LOAD,
     EXCHANGED_LOADS,

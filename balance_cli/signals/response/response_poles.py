@@ -7,6 +7,7 @@ those that describe noise or the flank of a mode elsewhere are not.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -18,6 +19,7 @@ from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 LARGEST_SIGMA = 0.1
 """Standard deviation of a pole over its decay rate, up to which it is that of a mode: on five rigs poles of modes had
@@ -28,31 +30,52 @@ WINDOW_STEP = LOCAL_LINES // 2
 """Lines for whose poles a window is used, in its middle."""
 
 
+@dataclass(frozen=True)
+class ResponsePole:
+    """An eigenvalue s [1/s] in the upper half plane, its standard deviation `sigma` [1/s], and its residue (c, u)."""
+
+    s: complex
+    sigma: float
+    residue: ComplexArray
+
+
 def response_poles(responses: Sequence[FrequencyResponse]) -> tuple[complex, ...]:
     """Return the eigenvalues s [1/s] of the modes, in the upper half plane, that measured responses of a rig show.
 
     Each mode is taken from the response that determines it best. A mode that none determines is missing.
     """
-    found = [pole for response in responses for pole in _determined_poles(response)]
+    found = [pole for response in responses for pole in determined_poles(response)]
     modes: list[complex] = []
-    for _, s in sorted(found, key=lambda pole: pole[0]):
-        if all(abs(s - other) > SAME_MODE * min(-s.real, -other.real) for other in modes):
-            modes.append(s)
+    for pole in sorted(found, key=lambda pole: -pole.sigma / pole.s.real):
+        if all(abs(pole.s - other) > SAME_MODE * min(-pole.s.real, -other.real) for other in modes):
+            modes.append(pole.s)
     return tuple(modes)
 
 
-def _determined_poles(response: FrequencyResponse) -> Iterator[tuple[float, complex]]:
-    """Yield the relative standard deviation and the value [1/s] of each pole of a mode."""
+def determined_poles(response: FrequencyResponse, wanted: Index | None = None) -> Iterator[ResponsePole]:
+    """Yield the poles of the modes that a response determines, by frequency; with `wanted`, those about these lines."""
     lines, count = response.frequency, min(LOCAL_LINES, len(response.frequency))
     starts = np.arange(0, len(lines), WINDOW_STEP)
-    first = np.clip(starts + WINDOW_STEP // 2 - count // 2, 0, len(lines) - count)
     ends = np.append(lines[starts[1:]], np.inf)
+    if wanted is not None:
+        near = np.unique(np.clip(wanted // WINDOW_STEP + np.array([[-1], [0], [1]]), 0, len(starts) - 1))
+        starts, ends = starts[near], ends[near]
+    first = np.clip(starts + WINDOW_STEP // 2 - count // 2, 0, len(lines) - count)
     models = window_models(response, first[:, None] + np.arange(count))
     for low, high, model in zip(lines[starts], ends, models, strict=True):
         s, sigma = _poles_of_window(response, model)
         inside = (s.imag >= 2.0 * np.pi * low) & (s.imag < 2.0 * np.pi * high)
         for k in np.flatnonzero(inside & (sigma < -LARGEST_SIGMA * s.real)):
-            yield float(-sigma[k] / s[k].real), complex(s[k])
+            residue = _residue(model, complex(s[k])).reshape(response.response.shape[1:])
+            yield ResponsePole(complex(s[k]), float(sigma[k]), residue)
+
+
+def _residue(model: WindowModel, s: complex) -> ComplexArray:
+    """The residue (c u,) of the outputs of a window at a pole s [1/s], per 1/s."""
+    position = (s / (2j * np.pi) - model.center) / model.half
+    slope = legendre.legval(position, legendre.legder(model.fit.denominator))
+    numerator = legendre.legval(position, model.fit.coefficients[: model.fit.orders.response + 1])
+    return np.asarray(model.sigma * numerator / slope * (2j * np.pi * model.half))
 
 
 def _poles_of_window(response: FrequencyResponse, model: WindowModel) -> tuple[ComplexArray, Array]:
