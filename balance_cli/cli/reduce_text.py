@@ -150,12 +150,11 @@ def _innovation_tests_text(filter_result: TimeDomainResult) -> str:
         LARGEST_AUTOCORRELATION,
         LARGEST_NIS,
         LARGEST_SLOW_POWER,
-        SMALLEST_NIS,
     )
 
     verdict = "; they contradict the filter" if tests.contradict_filter else ""
     return (
-        f"innovations: NIS {tests.nis:.3f} ({SMALLEST_NIS:g} to {LARGEST_NIS:g} is consistent), "
+        f"innovations: NIS {tests.nis:.3f} ({tests.least_nis:g} to {LARGEST_NIS:g} is consistent), "
         f"rms autocorrelation {tests.rms_autocorrelation:.3f} (at most {LARGEST_AUTOCORRELATION:g}), "
         f"slow power {tests.slow_power:.2f} (at most {LARGEST_SLOW_POWER:g}){verdict}"
     )

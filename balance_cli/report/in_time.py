@@ -75,7 +75,8 @@ def innovation_tests_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
             ]
     caption = (
         "Innovations of all channels together; small: one standard deviation for a consistent filter. Marked, and the "
-        f"loads flagged `filter contradicted`: NIS not within {SMALLEST_NIS:g} to {LARGEST_NIS:g}, an rms "
+        f"loads flagged `filter contradicted`: NIS not within {SMALLEST_NIS:g} to {LARGEST_NIS:g} (below, where loads "
+        "of any size within a band are assumed, it means that they are smaller), an rms "
         f"autocorrelation over {LARGEST_AUTOCORRELATION:g} beyond chance, or a slow power over {LARGEST_SLOW_POWER:g}. "
         "That is the spectral density of a channel toward zero frequency over that of white innovations. Unlike the "
         "whiteness, these do not grow with the record."

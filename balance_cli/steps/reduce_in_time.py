@@ -156,7 +156,7 @@ def reduce_run_in_time(
             sums.add(estimates.innovations)
     loads = reduce_record(setup.record, geometry, calibration, source, zero, recorder.mean_amplitudes()[1:])
     notes = (*setup.azimuth.notes, *setup.data_quality.notes, *loads.notes[len(setup.record.azimuth.notes) :])
-    innovations = sums.tests(setup.data_quality.names)
+    innovations = sums.tests(setup.data_quality.names, options.load_model == FREE)
     return TimeReduction(
         loads=flag_filter(replace(loads, interval=setup.interval, notes=notes), innovations),
         track=recorder.track(),

@@ -94,3 +94,20 @@ def condition_on_samples(
         mean[mine] = gain @ y.ravel()[read.ravel()][selected]
         variance[mine] = prior[mine] - np.sum(gain * cross[np.ix_(mine, selected)], axis=1)
     return mean.reshape(n, -1), variance.reshape(n, -1)
+
+
+def conditional_variance(model: SampledModel, read: NDArray[np.bool_]) -> Array:
+    """Variance (n, o) of the outputs given the samples that were `read` (n, c), as sums of squares.
+
+    The states are linear in white noise w, whose covariance given the samples is (1 + B'B)^-1 = (R'R)^-1.
+    """
+    n, N = len(read), model.order
+    start, root = (np.linalg.cholesky(X) for X in (discrete_gramian(model.F.T, model.Q), model.Q + 1e-15 * np.eye(N)))
+    states = np.zeros((n, N, n * N))
+    states[0, :, :N] = start
+    for k in range(1, n):
+        states[k] = model.F @ states[k - 1]
+        states[k, :, k * N : (k + 1) * N] = root
+    B = np.concatenate([(model.H @ states[k])[read[k]] for k in range(n)])
+    R = np.linalg.qr(np.vstack([np.eye(n * N), B]), mode="r")
+    return np.array([np.sum(np.linalg.solve(R.T, (model.U @ x).T) ** 2, axis=0) for x in states])

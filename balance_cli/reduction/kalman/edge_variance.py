@@ -10,11 +10,12 @@ L^j' (O - J) L^j.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.kalman.riccati import inverse_sum, symmetrize
 from balance_cli.reduction.kalman.steady_matrices import SteadyMatrices
 
 Array = NDArray[np.float64]
@@ -87,6 +88,23 @@ def smoother_edge_variance(rows: Array, steady: SteadyMatrices, missing: Array, 
         R = A + B @ through
         values.append(np.sum((B @ missing) * B, axis=1) + np.sum((R @ start) * R, axis=1))
     return Decay(at.astype(float), np.array(values), fades=False)
+
+
+def refine_near_start(decay: Decay, rows: Array, steady: SteadyMatrices, later: Array, excess: Array) -> Decay:
+    """Return the decay from a start of covariance P + D with its first values from the information of later samples.
+
+    D = `excess` and I = `later` (N, N). At sample k they are diag(rows ((P + L^k D L'^k)^-1 + I)^-1 rows'), a sum of
+    squares, less the steady variance. Where D is larger than P by many orders, as after a gap of loads of which nearly
+    nothing is assumed, the difference that they replace is one of rounding errors: by more than the steady variance.
+    """
+    value, spread = decay.value.copy(), excess
+    _, smoothed = steady.output_variances(rows)
+    for k in range(int(np.count_nonzero(decay.at < POINTS_PER_STRIDE))):
+        R = rows @ inverse_sum(symmetrize(steady.P + spread), later)
+        stable = np.sum(R**2, axis=1) - smoothed
+        value[k] = np.where(np.abs(value[k] - stable) > smoothed, stable, value[k])
+        spread = steady.L @ spread @ steady.L.T
+    return replace(decay, value=value)
 
 
 def _dense_at_both_ends(count: int) -> NDArray[np.intp]:

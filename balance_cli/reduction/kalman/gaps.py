@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.reduction.kalman.channel_filter import FilterBlock
-from balance_cli.reduction.kalman.riccati import symmetrize
+from balance_cli.reduction.kalman.riccati import inverse_sum, symmetrize
 from balance_cli.reduction.kalman.segments import Estimates, RunFilters, Segment, SegmentBlock, output_variance
 
 Array = NDArray[np.float64]
@@ -49,9 +49,13 @@ def gap_covariances(segment_block: SegmentBlock, filters: RunFilters, beyond: bo
 
 
 def smooth_gap(
-    segment_block: SegmentBlock, filters: RunFilters, rho: Array, J: Array
-) -> tuple[Estimates, Array, Array]:
-    """Smooth a block of a gap; return its loads, and rho and the information J at its start, from those after it."""
+    segment_block: SegmentBlock, filters: RunFilters, rho: Array, J: Array, later: Array | None
+) -> tuple[Estimates, Array, Array, Array | None]:
+    """Smooth a block of a gap; return its loads, and rho and the information J at its start, from those after it.
+
+    `later` (N, N) is the information of the samples after it, whatever the prior, where it is known; returned last at
+    the start. The variance of the loads then is a sum of squares, which rounding does not spoil.
+    """
     outputs, variance = segment_block.filter_block.predicted.copy(), np.empty_like(segment_block.filter_block.predicted)
     first, U = segment_block.segment.start, filters.outputs
     for i, P in reversed(list(enumerate(gap_covariances(segment_block, filters)))):
@@ -59,5 +63,11 @@ def smooth_gap(
         J = symmetrize(filters.predictor.back(first + i, filters.predictor.back(first + i, J).T))
         spread = U @ P
         outputs[i] += spread @ rho
-        variance[i] = np.maximum(np.sum(spread * U, axis=1) - output_variance(spread, J), 0.0)
-    return Estimates(first, outputs, variance, None, segment_block.filter_block.innovation, ()), rho, J
+        if later is None:
+            variance[i] = np.maximum(np.sum(spread * U, axis=1) - output_variance(spread, J), 0.0)
+        else:
+            through = inverse_sum(later, filters.noise)
+            back = filters.predictor.back(first + i, through)
+            later = back @ back.T
+            variance[i] = np.sum((U @ inverse_sum(P, later)) ** 2, axis=1)
+    return Estimates(first, outputs, variance, None, segment_block.filter_block.innovation, ()), rho, J, later

@@ -37,7 +37,8 @@ class InnovationTests:
 
     `channels` {name: mean square of its innovations, in units of their variance given the channels before it}.
     `autocorrelation` {name: (LAGS,) of its innovations at lags from 1}, of so many `pairs` (LAGS,) of samples; None in
-    artefacts that were written without them.
+    artefacts that were written without them. `assumed_larger`: loads larger than those of the record were assumed, so
+    that the innovations are smaller than the filter states; None where they were not.
     """
 
     nis: float
@@ -48,6 +49,7 @@ class InnovationTests:
     samples: int
     autocorrelation: dict[str, Array] | None = field(default=None, metadata={"omit_if_none": True})
     pairs: Array | None = field(default=None, metadata={"omit_if_none": True})
+    assumed_larger: bool | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def rms_autocorrelation(self) -> float:
@@ -67,9 +69,14 @@ class InnovationTests:
         return float(np.max(1.0 + 2.0 * rho @ window))
 
     @property
+    def least_nis(self) -> float:
+        """NIS from which sigma is not too large without a reason."""
+        return 0.0 if self.assumed_larger else SMALLEST_NIS
+
+    @property
     def wrong_size(self) -> bool:
-        """Whether the innovations are larger or smaller than the filter states."""
-        return not SMALLEST_NIS <= self.nis <= LARGEST_NIS
+        """Whether the innovations are larger than the filter states, or smaller where nothing makes them so."""
+        return not self.least_nis <= self.nis <= LARGEST_NIS
 
     @property
     def correlated(self) -> bool:
@@ -103,7 +110,7 @@ class InnovationSums:
             self.products[lag - 1] += np.sum(innovations[lag:] * innovations[:-lag], axis=0)
             self.pairs[lag - 1] += len(innovations) - lag
 
-    def tests(self, names: tuple[str, ...]) -> InnovationTests | None:
+    def tests(self, names: tuple[str, ...], assumed_larger: bool = False) -> InnovationTests | None:
         """Return the tests; None where there are no more samples than lags."""
         if self.samples <= LAGS:
             return None
@@ -118,4 +125,5 @@ class InnovationSums:
             samples=self.samples,
             autocorrelation=dict(zip(names, rho.T, strict=True)),
             pairs=self.pairs,
+            assumed_larger=assumed_larger or None,
         )

@@ -74,3 +74,20 @@ def _finite_gramian(L: Array, W: Array, steps: int) -> Array:
 def symmetrize(matrix: Array) -> Array:
     """Return the symmetric part of a matrix that rounding made slightly asymmetric."""
     return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def positive_root(matrix: Array) -> Array:
+    """Return S (n, n) with S S' the matrix, which is positive but for rounding."""
+    size, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors * np.sqrt(np.maximum(size, 0.0)))
+
+
+def inverse_sum(first: Array, second: Array) -> Array:
+    """Return R (n, n) with R R' = (A^-1 + B)^-1 for positive A and B (n, n), of which A may be singular.
+
+    With A = S S' it is S C'^-1, where C C' = 1 + S' B S. No difference is formed, so that it holds where A B is larger
+    than one by as many orders as a number has digits.
+    """
+    S = positive_root(first)
+    C = np.linalg.cholesky(np.eye(len(S)) + symmetrize(S.T @ second @ S))
+    return np.asarray(np.linalg.solve(C, S.T).T)

@@ -19,6 +19,7 @@ from balance_cli.reduction.kalman.edge_variance import (
     information_with_excess,
     posterior_excess,
     refer_adjoint_to_steady,
+    refine_near_start,
     smoother_edge_variance,
     variance_decay,
 )
@@ -124,12 +125,14 @@ def _final_excess(channel_filter: ChannelFilter, segment: Segment, excess: Array
 class _BackwardState:
     """Backward recursion after a sample: rho (N,), information J (N, N) and, within a segment, `missing` = O - J.
 
-    O is that of the current speed. Where enough samples follow, `missing` is zero and stays so while O changes.
+    O is that of the current speed. Where enough samples follow, `missing` is zero and stays so while O changes. `later`
+    (N, N) is the information of the samples after a gap, whatever the prior there, where it is that of all samples.
     """
 
     rho: Array
     J: Array
     missing: Array | None = None
+    later: Array | None = None
 
     def missing_information(self, steady: SteadyMatrices) -> Array:
         """Return O - J (N, N)."""
@@ -163,8 +166,10 @@ def _smooth_block(
 ) -> tuple[Estimates, _BackwardState]:
     """Smooth one block given the state after it; return its estimates and the state at its start."""
     if segment_block.covariance is not None:
-        estimates, rho, J = smooth_gap(segment_block, filters, backward_state.rho, backward_state.J)
-        return estimates, _BackwardState(rho, J)
+        estimates, rho, J, later = smooth_gap(
+            segment_block, filters, backward_state.rho, backward_state.J, backward_state.later
+        )
+        return estimates, _BackwardState(rho, J, later=later)
     if segment_block.final_excess_covariance is not None:
         backward_state = _BackwardState(
             *refer_adjoint_to_steady(segment_block.final_excess_covariance, backward_state.rho, backward_state.J)
@@ -212,11 +217,21 @@ def _smooth_first_block(
         channel_filter, segment_block.filter_block, beginning, backward_state, information_at_start
     )
     start = posterior_excess(excess_covariance, information_at_start)
-    added = [(smoother_edge_variance(rows, steady, missing, start, count), np.arange(count))]
+    edges = smoother_edge_variance(rows, steady, missing, start, count)
+    later = steady.future_information if channel_filter.time_invariant and _reaches_memory(steady, count) else None
+    if later is not None:
+        edges = refine_near_start(edges, rows, steady, later, excess_covariance)
+    added = [(edges, np.arange(count))]
     estimates = assemble_estimates(
         channel_filter, filter_block, outputs, marked_outputs, True, segment_block.segment, added
     )
-    return estimates, _BackwardState(rho, symmetrize(information_with_excess(excess_covariance, information_at_start)))
+    J = symmetrize(information_with_excess(excess_covariance, information_at_start))
+    return estimates, _BackwardState(rho, J, later=later)
+
+
+def _reaches_memory(steady: SteadyMatrices, count: int) -> bool:
+    """Whether the first of so many samples is known as from a record without an end."""
+    return count >= _memory_samples(steady)
 
 
 def _missing_at_start(steady: SteadyMatrices, missing: Array, count: int) -> Array:

@@ -10,7 +10,14 @@ from balance_cli.reduction.kalman.discretization import SampledModel
 from balance_cli.reduction.kalman.filtering import filtered_estimates
 from balance_cli.reduction.kalman.segments import Segment
 from balance_cli.reduction.kalman.smoothing import smoothed_estimates
-from tests.support.kalman_models import Array, condition_on_samples, draw_samples, small_model, steady_filters
+from tests.support.kalman_models import (
+    Array,
+    condition_on_samples,
+    conditional_variance,
+    draw_samples,
+    small_model,
+    steady_filters,
+)
 
 MODEL = small_model()
 WHOLE = (Segment(0, 160, (0, 1, 2)),)
@@ -63,6 +70,17 @@ def test_smoother_is_conditioning_where_a_beginning_is_remembered_through_a_gap(
     mean, exact = condition_on_samples(slow, y, _mask(BROKEN))
     assert np.abs(outputs - mean).max() < 1e-9 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0).max() < 1e-3
+
+
+@pytest.mark.parametrize("signal", [1e2, 1e3, 1e4, 1e5])
+def test_smoother_knows_how_far_it_errs_about_a_gap_of_loads_far_above_the_noise(signal):
+    """What rounding leaves of a difference had been the variance there: zero, or a multiple."""
+    model = SampledModel(MODEL.F, MODEL.Q, signal * MODEL.H, MODEL.U)
+    segments = (Segment(0, 80, (0, 1, 2)), Segment(80, 90, ()), Segment(90, 190, (0, 1, 2)))
+    y, _ = draw_samples(model, 190)
+    _, variance = _joined(smoothed_estimates(_read(y), segments, steady_filters(model, segments), 100))
+    ratio = variance / conditional_variance(model, _mask(segments))
+    assert np.abs(ratio[40:150] - 1.0).max() < 0.01
 
 
 def test_filter_is_conditioning_on_the_past_once_it_is_steady():
