@@ -28,8 +28,17 @@ FRF_BAND = (5.0, 150.0)
 
 def frf_band(batches: Sequence[Batch], geometry: Geometry) -> tuple[float, float]:
     """Return the band [Hz] of the relative response errors of a rig: `FRF_BAND`, or that of the excited lines."""
-    lines = np.concatenate([np.zeros(0), *(batch.line_frequency[batch.line_frequency > 0] for batch in batches)])
-    return frf_band_of_lines(lines, geometry)
+    return frf_band_of_lines(_excited_lines(batches), geometry)
+
+
+def excited_band(batches: Sequence[Batch]) -> tuple[float, float] | None:
+    """Return the lowest and the highest frequency [Hz] of the lines of the sweeps; None without any."""
+    lines = _excited_lines(batches)
+    return (float(lines.min()), float(lines.max())) if len(lines) else None
+
+
+def _excited_lines(batches: Sequence[Batch]) -> Array:
+    return np.concatenate([np.zeros(0), *(batch.line_frequency[batch.line_frequency > 0] for batch in batches)])
 
 
 def frf_band_of_lines(frequency: Array, geometry: Geometry) -> tuple[float, float]:

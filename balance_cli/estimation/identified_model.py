@@ -57,6 +57,10 @@ class ModeTable:
     shape: ComplexArray
 
 
+STATIC_SHARE = 0.5
+"""Of the lowest eigenfrequency: below it a response exceeds that at rest by a third at most, as in any model."""
+
+
 @dataclass(frozen=True)
 class RunFit:
     """Fit of one run: chi-square, its degrees of freedom, relative error of the response and its noise floor."""
@@ -97,7 +101,8 @@ class IdentifiedModel(ResultView):
     near half the sample rate, which the sweeps have in common; None where they have none. `gain_error`: what all
     channels may read too much or too little in wind-on runs, relative, of which a diagnosis could not tell the cause.
     `channels_may_lag`: whether a lag of all exciters' loads may be one of all channels, in wind-on runs too.
-    `band` [Hz]: that of the lines that were fitted; None where all were. `contradicted` {component: relative error}:
+    `band` [Hz]: that of the lines that were fitted; None where all were. `excited_band` [Hz]: that of the lines of the
+    sweeps; None without any, and in artefacts that were written without it. `contradicted` {component: relative error}:
     known loads of check runs, which no fit has used, that the model misses by more than its sigma; None without any.
     """
 
@@ -121,12 +126,22 @@ class IdentifiedModel(ResultView):
     channels_may_lag: bool | None = field(default=None, metadata={"omit_if_none": True})
     band: tuple[float, float] | None = field(default=None, metadata={"omit_if_none": True})
     contradicted: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
+    excited_band: tuple[float, float] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def untrusted_channels(self) -> dict[str, str]:
         """Channels that a diagnosis has left out of the fit because the others contradict them: {channel: reason}."""
         reasons = (item for channels in self.channels_left_out.values() for item in channels.items())
         return {name: reason for name, reason in reasons if reason == CONTRADICTS_OTHERS}
+
+    @property
+    def swept_band(self) -> tuple[float, float] | None:
+        """Band [Hz] in which the sweeps tell of the response; from zero where they reach down to that at rest."""
+        if self.excited_band is None:
+            return None
+        low, high = self.excited_band
+        at_rest = STATIC_SHARE * float(self.modes.frequency.min(initial=np.inf))
+        return (low if low > at_rest else 0.0), high
 
     @property
     def misfit_scale(self) -> float:

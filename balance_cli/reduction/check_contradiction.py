@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from balance_cli.io.percent import named_percents, percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
-from balance_cli.reduction.flags import MODEL_CONTRADICTED, NO_ZERO
+from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, NO_ZERO
 from balance_cli.reduction.model_sources import ModelSource
-from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.response_sources import ResponseSource, beyond_sweeps
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import MODEL_ERROR_SHARE
 
@@ -101,6 +101,19 @@ def flag_by_held_out_runs(loads: RunLoads, source: ResponseSource) -> RunLoads:
     rows = np.zeros(loads.amplitude.shape, bool)
     rows[1:] = _wrong_components(loads, contradicted)
     return loads.with_flag(MODEL_CONTRADICTED, note, where=rows)
+
+
+def flag_beyond_sweeps(loads: RunLoads, source: ResponseSource) -> RunLoads:
+    """Return the loads with those flagged whose harmonics lie outside the sweeps of the model."""
+    beyond, band = beyond_sweeps(source, loads.frequency_hz), source.swept_band
+    if band is None or not beyond.any():
+        return loads
+    harmonics = ", ".join(str(n) for n in np.flatnonzero(beyond))
+    note = (
+        f"harmonics {harmonics} lie outside the sweeps of the model, {band[0]:.4g} to {band[1]:.4g} Hz: nothing "
+        "measured tells of the rig there; sweep that far"
+    )
+    return loads.with_flag(EXTRAPOLATED, note, where=np.repeat(beyond[:, None], loads.amplitude.shape[1], axis=1))
 
 
 def _wrong_components(loads: RunLoads, contradicted: Collection[str]) -> Mask:

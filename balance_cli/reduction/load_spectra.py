@@ -7,6 +7,7 @@ square of the load within it. They contain the noise of the channels, whose part
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,12 +20,13 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNRESOLVED, UNTESTED, join_flags
+from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, REDUNDANCY, UNRESOLVED, UNTESTED, join_flags
 from balance_cli.reduction.measured_response import highest_frequency
 from balance_cli.reduction.resolved_spectra import ResolvedSpectra, resolved_spectra
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     at_rotor_speed,
+    beyond_sweeps,
     circular_real,
     load_scale,
     stacked_real,
@@ -42,6 +44,7 @@ from balance_cli.signals.run_samples import sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
 
 TRANSIENT_TIME_CONSTANTS = 7.0
 """Time constants of the slowest mode that are left out at the start: exp(-7) is a thousandth."""
@@ -84,20 +87,20 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     is_redundant = inversion.T.shape[1] > len(components) and sensor_count(geometry, health.live) > len(components)
     words = ["" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else ""]
     words += [] if resolved.is_resolved else [UNRESOLVED]
-    rejected = density.redundancy > density.limit
+    frequency = resolved.average(spectra.frequency)
     return RunSpectra(
         run=run.name,
         kind=run.kind,
         response=source.description,
         components=components,
-        frequency_hz=resolved.average(spectra.frequency),
+        frequency_hz=frequency,
         density=2.0 * density.power,
         sigma=2.0 * density.sigma,
         random_sigma=2.0 * density.random,
         noise=2.0 * density.noise,
         redundancy=density.redundancy,
         redundancy_limit=density.limit,
-        flags=tuple(join_flags((*words, REDUNDANCY if bad else "")) for bad in rejected),
+        flags=_frequency_flags(words, density.redundancy > density.limit, beyond_sweeps(source, frequency)),
         resolution_hz=resolved.bandwidth,
         averages=float(np.median(resolved.averages)),
         interval=(first / sample_rate(run), run.samples / sample_rate(run)),
@@ -106,6 +109,14 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         untested=_rest_on_one_sensor(inversion, density, resolved.bins, health, geometry, components)
         if is_redundant
         else None,
+    )
+
+
+def _frequency_flags(words: Sequence[str], rejected: Bools, beyond: Bools) -> tuple[str, ...]:
+    """The flags of each frequency: those of all, a rejected residual, and a place beyond the sweeps."""
+    return tuple(
+        join_flags((*words, REDUNDANCY if is_bad else "", EXTRAPOLATED if is_beyond else ""))
+        for is_bad, is_beyond in zip(rejected, beyond, strict=True)
     )
 
 

@@ -47,6 +47,11 @@ class ModelSource:
         )
 
     @property
+    def swept_band(self) -> tuple[float, float] | None:
+        """Band [Hz] of the sweeps that the model was identified from."""
+        return self.model.swept_band
+
+    @property
     def response_error(self) -> ResponseError | None:
         """What the model misses of the responses that it was identified from."""
         return self.model.response_error

@@ -46,6 +46,11 @@ class PaperSource:
         )
 
     @property
+    def swept_band(self) -> tuple[float, float] | None:
+        """Band [Hz] of the sweeps that the model was identified from."""
+        return self.model.swept_band
+
+    @property
     def response_error(self) -> ResponseError | None:
         """What the form misses of the sensors and the torque in the sweeps."""
         return self.model.response_error

@@ -31,6 +31,10 @@ ASSUMED_DECAY = 3.0
 """Time constant [s] where a response does not tell its modes: that of a mode at 5 Hz with a damping ratio of 1 %."""
 
 
+REACH_OF_SWEEPS = 0.03
+"""Of a frequency, by which a model reaches beyond its last line: the width of a mode of 1.5 % damping."""
+
+
 @dataclass(frozen=True)
 class ChannelCombination:
     """How rows of a response are formed from the live channels.
@@ -70,6 +74,11 @@ class ResponseSource(Protocol):
     @property
     def slowest_decay(self) -> float:
         """Time constant [s] of the slowest decay of the balance, as far as the source knows it."""
+        ...
+
+    @property
+    def swept_band(self) -> tuple[float, float] | None:
+        """Band [Hz] beyond which no sweep tells of a model; None of a response that ends with what was measured."""
         ...
 
     @property
@@ -163,6 +172,11 @@ class ResponseWithoutModel:
         return {}
 
     @property
+    def swept_band(self) -> tuple[float, float] | None:
+        """None: no model continues the response beyond what was measured."""
+        return None
+
+    @property
     def system(self) -> System | None:
         """None: there are no equations of motion."""
         return None
@@ -175,6 +189,19 @@ class ResponseWithoutModel:
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run itself: the response is linear."""
         return run
+
+
+def beyond_sweeps(source: ResponseSource, frequency: Array) -> NDArray[np.bool_]:
+    """Return which frequencies (h,) [Hz] lie outside the sweeps of a model; none where the source has no such band.
+
+    A model continues its response there, but a mode of a part that the sweeps did not reach is not in it: an absorber
+    of 0.08 kg at 80 Hz on a plate of 120 kg, swept to 45 Hz, made loads 89 standard deviations wrong, and no residual
+    shows it.
+    """
+    low, high = source.swept_band or (0.0, np.inf)
+    return np.asarray(
+        (frequency > 0.0) & ((frequency < (1.0 - REACH_OF_SWEEPS) * low) | (frequency > (1.0 + REACH_OF_SWEEPS) * high))
+    )
 
 
 def at_rotor_speed(source: ResponseSource, spin: float) -> ResponseSource:

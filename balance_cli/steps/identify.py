@@ -16,7 +16,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF, Damping, Form, Method
 from balance_cli.estimation.effect_inaccuracy import effect_inaccuracy_variance
 from balance_cli.estimation.equation_error import fit_equation_error
-from balance_cli.estimation.fit_quality import fit_quality, frf_band
+from balance_cli.estimation.fit_quality import excited_band, fit_quality, frf_band
 from balance_cli.estimation.force_noise import add_force_noise
 from balance_cli.estimation.identifiability import (
     covariance_from_information,
@@ -227,6 +227,7 @@ def build_identified_model(
         converged=minimum.converged,
         response_error=_error_of_misfit(batches, system, quality, model.geometry),
         usual_noise=spectra.usual_noise or None,
+        excited_band=excited_band(batches),
     )
 
 

@@ -42,6 +42,7 @@ def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperO
         response_error=estimate_row_error(fit, geometry, spectra.lines),
         paper=fit,
         usual_noise=spectra.usual_noise or None,
+        excited_band=(float(lines.min()), float(lines.max())),
     )
 
 

@@ -15,7 +15,7 @@ from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.channel_pairs import PairGain, add_pair_gains
-from balance_cli.reduction.check_contradiction import flag_by_held_out_runs
+from balance_cli.reduction.check_contradiction import flag_beyond_sweeps, flag_by_held_out_runs
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, NOT_STEADY
 from balance_cli.reduction.gain_error import add_gain_error
@@ -116,7 +116,7 @@ def reduce_record(
     loads = _flag_pair_gains(_with_mean_change(loads, trust.mean_change), gains)
     if static is not None:
         loads = _flag_implausible(loads, static)
-    loads = flag_by_held_out_runs(loads, source)
+    loads = flag_beyond_sweeps(flag_by_held_out_runs(loads, source), source)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     return _with_check_errors(loads, record, harmonic_solution, geometry, source, response)
