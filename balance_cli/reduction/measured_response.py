@@ -116,15 +116,17 @@ class TransferSource(ResponseWithoutModel):
         """
         from balance_cli.signals.response.interpolation_error import interpolate_with_error
 
+        # Of several sets of loads the frequencies are the same.
+        frequency, place = np.unique(frequency, return_inverse=True)
         count = len(self.channel_names)
-        total = np.zeros((len(frequency), count, count), complex)
+        total = np.zeros((len(place), count, count), complex)
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
             at = interpolate_with_error(measured, frequency, self.interpolation)
             f = loads[:, columns]
-            scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.load_covariance, f))
-            total[:, rows[:, None], rows] += scale[:, None, None] * at.channel_covariance
+            scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.load_covariance[place], f))
+            total[:, rows[:, None], rows] += scale[:, None, None] * at.channel_covariance[place]
         return circular_real(total)
 
 

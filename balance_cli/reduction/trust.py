@@ -255,7 +255,10 @@ def _rest_on_one_sensor(reduced: ReducedRecord) -> Mask:
         loads = np.concatenate([solution.loads.real, solution.loads.imag], axis=1)
         covariance = circular_real(problem.weighting) * (4.0 / record.spectra.samples)
         covariance = covariance + problem.response_covariance(loads)
-    return untested_harmonics(solution.equations, names, solution.degrees, solution.limit, sigma, covariance)
+    by_response = problem.response_covariance if rows.rows_are_channels else None
+    return untested_harmonics(
+        solution.equations, names, solution.degrees, solution.limit, sigma, covariance, by_response
+    )
 
 
 def _response_is_rejected(solution: SolvedLoads) -> bool:

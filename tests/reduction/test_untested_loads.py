@@ -69,6 +69,25 @@ def test_a_test_at_some_harmonics_is_one_of_all(response):
     assert untested(solved(both, (2.0, 1.0)))[:, 1].tolist() == [False, *[True] * (HARMONICS - 1)]
 
 
+def test_errors_of_the_response_notice_no_sensor(response):
+    """A measured response has a remainder of its own for the loads that a wrong sensor makes: 1 % of what is read.
+
+    It had been taken for what shows the sensor wrong, and the load was tested.
+    """
+    measured = response.copy()
+    measured[:, 1:, 1] = 0.01 * np.exp(1j * np.arange(4)) * response[:, :1, 1]
+    solution = solved(measured, (0.01, 1.0))
+    sigma = np.sqrt(np.diagonal(solution.covariance, axis1=1, axis2=2)[:, :2])
+    at = (solution.equations, SENSORS, solution.degrees, solution.limit, sigma)
+
+    def by_response(loads):
+        size = np.abs(loads[:, 1] + 1j * loads[:, 3])[:, None, None] ** 2
+        return 1e-4 * size * np.mean(np.abs(response[:, 0, 1]) ** 2) * np.eye(10)
+
+    assert untested_harmonics(*at, None, by_response)[:, 1].all()
+    assert not untested_harmonics(*at, None, None)[:, 1].any()
+
+
 def test_means_count_sensors_and_what_each_of_them_tells():
     T = np.array([[1.0, 0.0], [0.8, 0.0], [0.9, 0.0], [0.0, 1.0]])
     G = np.linalg.pinv(T)

@@ -34,6 +34,10 @@ class TruthSource:
         return true_response(self.rig, frequency)
 
     @property
+    def swept_band(self):
+        return None
+
+    @property
     def response_error(self):
         return None
 
