@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
     CONTRADICTED,
@@ -231,7 +232,7 @@ def alike_in_all(effect: PlacedEffect, geometry: Geometry, is_good: bool = True)
     if alike is None or effect.where == (ALL,):
         return alike
     if acts_on_loads(effect.effect.places, geometry):
-        return None
+        return alike if set(carried_components(geometry)) <= set(effect.where) else None
     left_out = [item for item in geometry.channels if item.name not in channels_at(geometry, effect.where)]
     return None if any(is_good or item.cell_weights for item in left_out) else alike
 

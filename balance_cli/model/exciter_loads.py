@@ -127,6 +127,15 @@ def lag_denominator(equations: Equations, frequency: Array) -> ComplexArray:
     return np.asarray(1.0 + s * first + s**2 * second)
 
 
+def recorded_over_load(equations: Equations, frequency: Array) -> ComplexArray:
+    """Return what the lag and the delay of the exciters make of a load that is recorded (K, 6), at K frequencies [Hz].
+
+    It is exp(-s delay) (1 + s a + s^2 b), the size of which the gain of a force cell would change alone.
+    """
+    s = 2j * np.pi * frequency[:, None]
+    return np.asarray(np.exp(-s * equations.load_delay.value) * lag_denominator(equations, frequency))
+
+
 def _inverse_reaction(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
     """(1 + D H)^-1 (K, 6, 6)."""
     resistance = _dynamic_stiffness(system.equations, solution.frequency[index], attached)

@@ -13,7 +13,7 @@ from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.estimation.response_error import ResponseError
-from balance_cli.model.exciter_loads import lag_denominator
+from balance_cli.model.exciter_loads import recorded_over_load
 from balance_cli.model.modes import overdamped_decay_rates
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
@@ -104,7 +104,7 @@ class ModelSource:
         covariance = J @ self.parameter_covariance @ J.swapaxes(1, 2)
         errors = [] if not self.model.gain_error else [self.model.gain_error * loads]
         if self.model.channels_may_lag:
-            errors.append((lag_denominator(self.system.equations, solution.frequency) - 1.0) * loads)
+            errors.append((recorded_over_load(self.system.equations, solution.frequency) - 1.0) * loads)
         for error in errors:
             off = response(self.system, solution) @ error[:, :, None]
             off = np.concatenate([off.real, off.imag], axis=1)

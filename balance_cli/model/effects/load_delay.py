@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.rig_scales import rig_frequency
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Where, all_or_each_component, each_component, unit_components
-from balance_cli.model.effects.search_hints import SearchHints
+from balance_cli.model.effects.search_hints import CommonAlternative, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -35,6 +35,12 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return replace(equations, load_delay=equations.load_delay + values["delay"] * unit_components(where))
 
 
+EARLY_CHANNELS = CommonAlternative(
+    "time-delay@all",
+    "Record one signal by the boxes of channels and of loads. Channels that are late or early turn the harmonics of "
+    "wind-on loads, exciters' loads that are early or late do not: if it is the former, fit `time-delay@all`",
+)
+
 EFFECT = Effect(
     name="load-delay",
     summary="The load of an exciter is recorded later (or earlier) than the channels.",
@@ -47,5 +53,5 @@ EFFECT = Effect(
     places=all_or_each_component,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(places=each_component),
+    search=SearchHints(places=each_component, alike_in_all=EARLY_CHANNELS),
 )
