@@ -12,12 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.percent import named_percents, percent_text
 from balance_cli.reduction.check_errors import HARMONICS_COMPARED
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, NO_ZERO
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.response_sources import ResponseSource, beyond_sweeps
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.trust import MODEL_ERROR_SHARE
 
 Array = NDArray[np.float64]
@@ -114,6 +116,22 @@ def flag_beyond_sweeps(loads: RunLoads, source: ResponseSource) -> RunLoads:
         "measured tells of the rig there; sweep that far"
     )
     return loads.with_flag(EXTRAPOLATED, note, where=np.repeat(beyond[:, None], loads.amplitude.shape[1], axis=1))
+
+
+def flag_by_turbulence(loads: RunLoads, record: RotorRecord, geometry: Geometry, source: ResponseSource) -> RunLoads:
+    """Return the loads of a wind run with those flagged that modes make wrong, which turbulence shows elsewhere."""
+    if record.run.kind != "wind" or source.system is None:
+        return loads
+    from balance_cli.reduction.moved_modes import NOTABLE_SHARE, moved_modes
+    from balance_cli.reduction.operational_modes import operational_modes
+
+    azimuths = (record.azimuth, *record.other_rotors)
+    moved = moved_modes(operational_modes(record, source.system, geometry.acquisition, azimuths))
+    if moved is None:
+        return loads
+    wrong = moved.error_share(loads.frequency_hz) > NOTABLE_SHARE
+    rows = np.repeat(wrong[:, None], loads.amplitude.shape[1], axis=1)
+    return loads.with_flag(MODEL_CONTRADICTED, moved.sentence, where=rows)
 
 
 def _wrong_components(loads: RunLoads, contradicted: Collection[str]) -> Mask:

@@ -11,13 +11,11 @@ from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, Consiste
 from balance_cli.diagnosis.consistency.severity import contradicts_loads
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_contradiction import flag_by_check_runs
-from balance_cli.reduction.copied_runs import copied_runs, copy_warning, flag_copied_runs
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trim_signs import flag_opposite_means, opposite_means
-from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
 from balance_cli.steps.static_agreement import static_findings
 from balance_cli.steps.trim_agreement import trim_findings
 
@@ -77,11 +75,20 @@ def compare_loads(
 
 def compare_with_other_runs(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
     """Return the loads flagged by what wind runs say of each other, and check runs of all; and the warnings."""
-    comparisons, copies = compare_wind_runs(runs), copied_runs(runs)
     channels = (f"{loads.wrong_channels} in {name}" for name, loads in runs.items() if loads.wrong_channels)
-    flagged, contradictions = flag_by_check_runs(flag_turned_runs(flag_copied_runs(runs, copies), comparisons))
-    warnings = (*channels, *map(copy_warning, copies), *turn_warnings(comparisons))
-    return flagged, (*warnings, *(item.sentence for item in contradictions))
+    flagged, warnings = _compare_with_each_other(runs) if len(runs) > 1 else (runs, ())
+    flagged, contradictions = flag_by_check_runs(flagged)
+    return flagged, (*channels, *warnings, *(item.sentence for item in contradictions))
+
+
+def _compare_with_each_other(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str, RunLoads], tuple[str, ...]]:
+    """Flag runs that are one record, and those whose harmonics are those of another one at another azimuth."""
+    from balance_cli.reduction.copied_runs import copied_runs, copy_warning, flag_copied_runs
+    from balance_cli.reduction.turned_harmonics import compare_wind_runs, flag_turned_runs, turn_warnings
+
+    comparisons, copies = compare_wind_runs(runs), copied_runs(runs)
+    flagged = flag_turned_runs(flag_copied_runs(runs, copies), comparisons)
+    return flagged, (*map(copy_warning, copies), *turn_warnings(comparisons))
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:

@@ -15,7 +15,7 @@ from balance_cli.campaign.rig.attitude import stated_gravity
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.channel_pairs import PairGain, add_pair_gains
-from balance_cli.reduction.check_contradiction import flag_beyond_sweeps, flag_by_held_out_runs
+from balance_cli.reduction.check_contradiction import flag_beyond_sweeps, flag_by_held_out_runs, flag_by_turbulence
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, NOT_STEADY
 from balance_cli.reduction.gain_error import add_gain_error
@@ -78,7 +78,8 @@ def reduce_run(
     options = options or ReduceOptions()
     source = at_rotor_speed(source, run.rotor_speed)
     record = rotor_record(hold_samples(run), geometry, source, options.harmonics, options.rotor)
-    return reduce_record(record, geometry, calibration, source, zero)
+    loads = reduce_record(record, geometry, calibration, source, zero)
+    return flag_by_turbulence(loads, record, geometry, source)
 
 
 def reduce_record(

@@ -20,6 +20,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.model.system import System
+from balance_cli.reduction.check_contradiction import flag_by_turbulence
 from balance_cli.reduction.choices import FREE, HARMONICS, KALMAN, LOAD_MODELS, SMOOTHER
 from balance_cli.reduction.kalman.amplitude_drift import fit_drifting_harmonics
 from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
@@ -155,6 +156,7 @@ def reduce_run_in_time(
         if len(estimates.channels) == len(setup.data_quality.names):
             sums.add(estimates.innovations)
     loads = reduce_record(setup.record, geometry, calibration, source, zero, recorder.mean_amplitudes()[1:])
+    loads = flag_by_turbulence(loads, setup.record, geometry, source)
     notes = (*setup.azimuth.notes, *setup.data_quality.notes, *loads.notes[len(setup.record.azimuth.notes) :])
     innovations = sums.tests(setup.data_quality.names, options.load_model == FREE)
     return TimeReduction(
