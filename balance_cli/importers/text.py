@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from balance_cli.importers.base import SNIFFED_BYTES, Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout
-from balance_cli.importers.text_layout import Columns, find_columns, split_cells
+from balance_cli.importers.text_blocks import split_cells
+from balance_cli.importers.text_layout import Columns, find_columns
 from balance_cli.importers.text_rows import Rows, index_rows
 from balance_cli.importers.text_table import TextTable
 from balance_cli.importers.time_columns import filled_rows, parts_by_time

@@ -12,7 +12,8 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.importers.text_layout import Columns, split_cells
+from balance_cli.importers.text_blocks import split_cells
+from balance_cli.importers.text_layout import Columns
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import is_remark
 
