@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
 from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
-from balance_cli.importers.stated_clock import stated_rate
+from balance_cli.importers.stated_clock import stated_rates
 from balance_cli.importers.text_blocks import (
     FEWEST_BLOCK_ROWS,
     require_one_block,
@@ -61,7 +61,7 @@ class Columns:
     units: tuple[str, ...]
     numeric: tuple[int, ...]
     clock: tuple[int, ...]
-    stated_rate: float | None = None
+    stated_rates: tuple[float, ...] = ()
     sparse: dict[int, tuple[int, int]] = field(default_factory=dict)
     times: tuple[int, ...] = ()
     group_sign: str = ""
@@ -106,7 +106,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         units=units,
         numeric=numeric,
         clock=clock,
-        stated_rate=rate or stated_rate(lines[:first]),
+        stated_rates=(rate,) if rate else stated_rates(lines[:first], separator),
         sparse=sparse,
         times=times,
         group_sign=sign,

@@ -45,16 +45,24 @@ def rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]:
         yield f"time: {quoted(time.name)}" + ("  # and the others as above" if own else "")
         yield from _unit_lines(file, time)
         return
-    rate = _stated_rate(file)
-    yield "sample_rate: TODO  # Hz" if rate is None else f"sample_rate: {rate:.10g}  # Hz, as the file says"
+    stated = [f"{rate:.10g}" for rate in _stated_rates(file)]
+    if len(stated) == 1:
+        yield f"sample_rate: {stated[0]}  # Hz, as the file says"
+    else:
+        yield "sample_rate: TODO  # Hz" + (f": the file says {' and '.join(stated)}" if stated else "")
+
+
+def _stated_rates(file: ForeignFile) -> list[float]:
+    """The different rates [Hz] that the file states beside its channels, themselves or by steps."""
+    stated = [(name.rpartition(".")[2].lower(), value) for name, value in file.scalars.items() if value > 0.0]
+    rates = [value for name, value in stated if name in RATE_NAMES]
+    return list(dict.fromkeys(rates or [whole_rate(1.0 / value) for name, value in stated if name in STEP_NAMES]))
 
 
 def _stated_rate(file: ForeignFile) -> float | None:
-    """The rate [Hz] that the file states beside its channels, itself or by a step; None where it states several."""
-    stated = [(name.rpartition(".")[2].lower(), value) for name, value in file.scalars.items() if value > 0.0]
-    rates = {value for name, value in stated if name in RATE_NAMES}
-    rates = rates or {whole_rate(1.0 / value) for name, value in stated if name in STEP_NAMES}
-    return rates.pop() if len(rates) == 1 else None
+    """The rate [Hz] that the file states, None where it states several or none."""
+    rates = _stated_rates(file)
+    return rates[0] if len(rates) == 1 else None
 
 
 def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:

@@ -235,6 +235,14 @@ def test_row_numbers_are_no_time_and_unclear_units_are_to_be_completed(tmp_path)
     assert "the head states 500 Hz, these times are of 1000 Hz" in text
 
 
+def test_rates_of_channels_that_differ_are_to_be_completed(tmp_path):
+    head = "SampleRate,{}\nA [V],B [V]\n" + lines(lambda k: f"{X[k, 0]},{X[k, 1]}")
+    text = sketch_map([opened(tmp_path, head.format("1.0E+03,1.0E+03"))], None)
+    assert "sample_rate: 1000  # Hz, as the file says" in text
+    text = sketch_map([opened(tmp_path, head.format("1000,500"))], None)
+    assert "sample_rate: TODO  # Hz: the file says 1000 and 500" in text
+
+
 def test_numbers_for_no_value_are_missing_where_they_are_far_from_all_others(tmp_path):
     text = "t,A,B\n" + lines(lambda k: f"{TIME[k]},{-9999 if k == 7 else X[k, 0]},{9.9e37 if k == 9 else k * 500}")
     file = opened(tmp_path, text)

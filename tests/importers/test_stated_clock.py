@@ -2,7 +2,7 @@
 
 import pytest
 
-from balance_cli.importers.stated_clock import stated_rate
+from balance_cli.importers.stated_clock import stated_rates
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ from balance_cli.importers.stated_clock import stated_rate
     ],
 )
 def test_a_rate_is_read_with_its_unit(line, rate):
-    assert stated_rate(["Wind tunnel 3", line, "Kanal 1"]) == pytest.approx(rate, rel=1e-15)
+    assert stated_rates(["Wind tunnel 3", line, "Kanal 1"]) == pytest.approx((rate,), rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -51,4 +51,48 @@ def test_a_rate_is_read_with_its_unit(line, rate):
     ],
 )
 def test_what_is_ambiguous_or_no_rate_is_none(line):
-    assert stated_rate([line]) is None
+    assert stated_rates([line]) == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "rates"),
+    [
+        ('"SampleRate",1.000000E+03,1.000000E+03', (1000.0,)),
+        ("SampleRate,5.12E+04,5.12E+04", (51200.0,)),
+        ('"Sampling Rate","5.12E+04","5.12E+04"', (51200.0,)),
+        ("SampleRate,51200,51200", (51200.0,)),
+        ("SampleRate,50000.0,50000.0", (50000.0,)),
+        ("SampleRate,1000,500", (1000.0, 500.0)),
+        ("SampleRate,1000,,500", (1000.0, 500.0)),
+        ("Sample rate [kHz],2.5,2.5,1", (2500.0, 1000.0)),
+        ("Sample rate,2.5 kHz,1 kHz", (2500.0, 1000.0)),
+        ("Sample rate,1000,Hz,16,bit", (1000.0,)),
+        ("Sample rate: 1000, 6001 samples", (1000.0,)),
+        ("Sample rate,1000,2024-03-12,10:11:12", (1000.0,)),
+        ("Sample Interval,4.00E-05,4.00E-05", (25000.0,)),
+        ("Sample Interval,0.001,0.002", (1000.0, 500.0)),
+    ],
+)
+def test_a_comma_between_cells_is_none_within_a_number(line, rates):
+    """The mantissa alone was taken (1 Hz for 1.0E+03), or the second number for decimals (1000.5 Hz)."""
+    assert stated_rates([line], ",") == pytest.approx(rates, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("line", "rates"),
+    [
+        ("Abtastrate;1000,5;1000,5", (1000.5,)),
+        ("Abtastrate\t1000\t500", (1000.0, 500.0)),
+        ("Abtastrate;2,4 kHz;;", (2400.0,)),
+        ("Sample rate 1.0E+03 1.0E+03", (1000.0,)),
+        ("Sample rate 1000 500", (1000.0, 500.0)),
+        ("Sample rate 1000 Hz 16 bit", (1000.0,)),
+        ("Abtastrate;1000;Hz;500;Hz", (1000.0, 500.0)),
+        ("Abtastrate: 1000, 500", (1000.0, 500.0)),
+        ("Abtastrate;5,12E+04;5,12E+04", (51200.0,)),
+        ("DT;0,001;0,002", (1000.0, 500.0)),
+    ],
+)
+@pytest.mark.parametrize("separator", ["", ";", "\t", " "])
+def test_other_separators_leave_decimal_commas(line, rates, separator):
+    assert stated_rates([line], separator) == pytest.approx(rates, rel=1e-15)
