@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 HEADER_BYTES = 128
+ALIGNMENT = 8
+"""Bytes of whose multiple an element is; the last one of a file may lack those that fill it up."""
 MATRIX, COMPRESSED = 14, 15
 VALUE_TYPES = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
 """Integers of 8 to 64 bits, single, double, and text as UTF-8, 16 and 32."""
@@ -29,13 +31,16 @@ Advance = Callable[[int], bytes]
 def examine_elements(path: Path) -> None:
     """Raise ValueError where an array has a class or an element a data type that the format does not define.
 
-    Elements beyond the end of the file are none of it: the reader finds them missing.
+    Also where the file ends within a variable, which scipy would not list.
     """
+    length = path.stat().st_size
     with path.open("rb") as file:
         order = "<" if file.read(HEADER_BYTES)[126:128] == b"IM" else ">"
         while len(tag := file.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
             end = file.tell() + size
+            if end >= length + ALIGNMENT:
+                raise ValueError(f"it ends within a variable, {end - length} bytes early")
             if kind == COMPRESSED:
                 _examine(*_inflated(file, size), 1 << 62, order, 0)
             elif kind == MATRIX:

@@ -40,6 +40,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         channels = [
             (group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()
         ]
+        notes = ("the file ends early, within its last segment",) if file.file_status.incomplete_final_segment else ()
     if not channels:
         raise UserError("has no channels", remedy="Give a file with channels")
     begins = [facts["begin"] for _, _, facts in channels if facts["begin"] is not None]
@@ -47,7 +48,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     several = len({group for group, _, _ in channels}) > 1
     opened = _OpenFile(path)
     groups = tuple(_group(opened, group, name, facts, origin, several) for group, name, facts in channels)
-    return ForeignFile(path, NAME, groups, recorded=None if origin is None else str(origin)[:19])
+    return ForeignFile(path, NAME, groups, notes, None if origin is None else str(origin)[:19])
 
 
 def _facts(channel: Any) -> dict[str, Any]:
