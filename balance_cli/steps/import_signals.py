@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatch
 
 from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, MappedLoad
 from balance_cli.campaign.rig.components import UNIT_OF
@@ -14,6 +11,7 @@ from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.steps.import_channels import FIRST, ChannelNames, FoundChannel
 from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_timeline import Clock
 
@@ -26,23 +24,6 @@ LEAST_COMMON_LENGTH = 0.9
 half or less."""
 LATEST_START = 1e12
 """[s]. Clocks count from the year 0 at the earliest."""
-SPECTRUM_WORDS = re.compile(r"\b(FFT|PSD|ASD|FRF|(auto|cross|power)?[- ]?spectr(um|al)\w*|spektrum)\b", re.IGNORECASE)
-"""Names of what analyzers export beside records, with frequencies in a column that may be called time."""
-
-
-@dataclass(frozen=True)
-class FoundChannel:
-    """A channel of a file: its group and column."""
-
-    name: str
-    file: ForeignFile
-    group: ChannelGroup
-    column: int
-
-    @property
-    def unit(self) -> str:
-        """The unit that the file states, empty where it states none."""
-        return self.group.channels[self.column].unit
 
 
 @dataclass(frozen=True)
@@ -60,89 +41,15 @@ class Signal:
     reading_unit: str = VOLTAGE
 
 
-class ChannelFinder:
-    """The channels of the files of one run, by name."""
+class ChannelFinder(ChannelNames):
+    """The channels of the files of one run, by name, with their clocks."""
 
     def __init__(self, files: Sequence[ForeignFile], declared: ImportMap) -> None:
+        used = _used_names(declared)
+        super().__init__(joined_pieces(files, used, declared.time), used)
         self._map = declared
-        self.files = joined_pieces(files, self._used_names(), declared.time)
-        self._channels: dict[str, FoundChannel] = {}
         self._clocks: dict[int, tuple[Clock, str]] = {}
         self._at_stated_rate: dict[str, FoundChannel] = {}
-        for file in self.files:
-            for group in file.groups:
-                for column, channel in enumerate(group.channels):
-                    self._add(FoundChannel(channel.name, file, group, column))
-
-    def _add(self, channel: FoundChannel) -> None:
-        first = self._channels.setdefault(channel.name, channel)
-        if first is not channel and channel.name in self._used_names():
-            fault = f"has the channel `{channel.name}`, which {first.file.path} has, too"
-            remedy = (
-                f"Give these files different run names, or write `{channel.file.path.name}/{channel.name}`; of pieces "
-                "of one record the times must go on from file to file"
-            )
-            raise UserError(fault, str(channel.file.path), remedy=remedy)
-
-    def _used_names(self) -> set[str]:
-        declared = self._map
-        mapped = {*declared.channels, *declared.loads, *declared.attitude, *declared.temperature}
-        return mapped | {point.channel for point in declared.load_points}
-
-    def namesakes(self, channel: FoundChannel) -> list[FoundChannel]:
-        """Channels of the same name in other files of the run."""
-        return [
-            FoundChannel(channel.name, file, group, group.names.index(channel.name))
-            for file in self.files
-            if file is not channel.file
-            for group in file.groups
-            if channel.name in group.names and not group.unusable
-        ]
-
-    def find(self, name: str) -> FoundChannel:
-        """The channel of this name, or of one file as `FILE/CHANNEL`; `*` and `?` in FILE stand for any characters.
-
-        Raises UserError, with the nearest one, where there is none or it is unusable.
-        """
-        key = " ".join(name.split())
-        channel = self._named(name)
-        file = str(self.files[0].path)
-        if channel is None:
-            near = difflib.get_close_matches(key, self._channels, n=1, cutoff=0.0)
-            count = len(self._channels)
-            remedy = f"The nearest of its {count} channels is `{near[0]}`" if near else "It has no channels"
-            remedy += f"; `{name}: null` in the entry of `runs` leaves it out"
-            raise UserError(f"has no channel `{name}`, which the map names", file, remedy=remedy)
-        if channel.group.unusable:
-            fault = f"is {channel.group.unusable}"
-            raise UserError(fault, str(channel.file.path), f"channel `{name}`", "Leave it out of the map")
-        if SPECTRUM_WORDS.search(f"{channel.name} {channel.unit}"):
-            fault = "seems to be a spectrum, and no record in time"
-            remedy = "Export the samples in time, or rename the channel in the file if it is one"
-            raise UserError(fault, str(channel.file.path), f"channel `{name}`", remedy)
-        return channel
-
-    def has(self, name: str) -> bool:
-        """Whether the files have a channel of this name, as `find` takes it."""
-        return self._named(name) is not None
-
-    def _named(self, name: str) -> FoundChannel | None:
-        key = " ".join(name.split())
-        return self._channels.get(key) or self._find_in_file(key) or self._find_in_group(key)
-
-    def _find_in_group(self, key: str) -> FoundChannel | None:
-        """The only channel `GROUP/key`: a file with a second group, as of a tachometer, names the groups of all."""
-        named = [channel for name, channel in self._channels.items() if name.rpartition("/")[2] == key]
-        return named[0] if len(named) == 1 else None
-
-    def _find_in_file(self, key: str) -> FoundChannel | None:
-        pattern, _, name = key.partition("/")
-        for file in self.files:
-            if fnmatch(file.path.name, pattern.strip()) or fnmatch(file.path.stem, pattern.strip()):
-                for group in file.groups:
-                    if name.strip() in group.names:
-                        return FoundChannel(name.strip(), file, group, group.names.index(name.strip()))
-        return None
 
     def clock(self, channel: FoundChannel) -> Clock:
         """Rate and start of a channel's group: from the file, from its time column, or from the map."""
@@ -208,6 +115,12 @@ class ChannelFinder:
             place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
         return _strided(Clock(axis.rate, axis.start, group.samples), group), axis.note
+
+
+def _used_names(declared: ImportMap) -> set[str]:
+    mapped = {*declared.channels, *declared.loads, *declared.attitude, *declared.temperature}
+    names = mapped | {point.channel for point in declared.load_points}
+    return names | {name.removesuffix(FIRST) for name in names}
 
 
 def _strided(clock: Clock, group: ChannelGroup) -> Clock:
