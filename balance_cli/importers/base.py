@@ -30,12 +30,14 @@ class ForeignChannel:
     `label`: what the file calls the signal, where `name` is the place of its samples (`rec.Y[3].Data`); else empty.
     `ordinal`: which of several channels of one name in the file it is, from 1; 0 where it is the only one.
     `scale`: numbers beside integers that may convert them (`gain 0.01, offset 1`), and are not applied; else empty.
+    `is_raw`: the values are those before a scale of the format that cannot be applied, which `scale` names.
     """
 
     name: str
     unit: str = ""
     label: str = ""
     scale: str = ""
+    is_raw: bool = False
     ordinal: int = 0
 
     @property

@@ -34,6 +34,16 @@ class FoundChannel:
         return self.group.channels[self.column].unit
 
     @property
+    def scale(self) -> str:
+        """The scale that the file states and that is not applied, empty where there is none."""
+        return self.group.channels[self.column].scale
+
+    @property
+    def is_raw(self) -> bool:
+        """Whether the values are raw, before a scale that cannot be applied."""
+        return self.group.channels[self.column].is_raw
+
+    @property
     def ordinal(self) -> int:
         """Which of several channels with this name it is, from 1; 0 where it is the only one."""
         return self.group.channels[self.column].ordinal

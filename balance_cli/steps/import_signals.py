@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, MappedLoad
 from balance_cli.campaign.rig.components import UNIT_OF
@@ -30,7 +31,8 @@ LATEST_START = 1e12
 class Signal:
     """A channel in our units: factor times the file's value, plus offset. `target` is the column that it fills.
 
-    `reading_unit`: base unit of a channel, V or a ratio to the excitation of its bridge.
+    `reading_unit`: base unit of a channel, V or a ratio to the excitation of its bridge. `note` and `scale_note` say
+    what is to be told of its unit, and of a scale in the file that was not applied.
     """
 
     source: FoundChannel
@@ -39,6 +41,7 @@ class Signal:
     offset: float
     note: str = ""
     reading_unit: str = VOLTAGE
+    scale_note: str = ""
 
 
 class ChannelFinder(ChannelNames):
@@ -143,19 +146,19 @@ def channel_signal(source: FoundChannel, mapped: MappedChannel) -> Signal:
     unit, note = _unit(source, mapped.unit, *dimensions)
     has_scale = "scale" in mapped.model_fields_set
     if unit.dimension == RATIO and not has_scale and mapped.excitation is None:
-        signal = _signal(source, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+        signal = _signal(source, mapped.name, unit, mapped, note)
         return replace(signal, reading_unit=RATIO)
     if unit.dimension != VOLTAGE and not has_scale:
         fault = f"is in {unit.symbol}, not in volts"
         remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"
         raise UserError(fault, str(source.file.path), f"channel `{source.name}`", remedy)
-    return _signal(source, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+    return _signal(source, mapped.name, unit, mapped, note)
 
 
 def load_signal(source: FoundChannel, mapped: MappedLoad) -> Signal:
     """A hub load in N or N m."""
     unit, note = _unit(source, mapped.unit, UNIT_OF[mapped.component])
-    return _signal(source, mapped.component, unit, mapped.sign, mapped.scale, mapped.offset, note)
+    return _signal(source, mapped.component, unit, mapped, note)
 
 
 def other_signal(source: FoundChannel, target: str, mapped: object, dimension: str, default: str) -> Signal:
@@ -164,13 +167,23 @@ def other_signal(source: FoundChannel, target: str, mapped: object, dimension: s
     unit, note = _unit(source, stated, dimension)
     if dimension == ANGLE:
         unit = Unit(unit.symbol, ANGLE, unit.factor / parse_unit("deg", ANGLE).factor)
-    sign, scale, offset = (getattr(mapped, name) for name in ("sign", "scale", "offset"))
-    return _signal(source, target, unit, sign, scale, offset, note)
+    return _signal(source, target, unit, mapped, note)
 
 
-def _signal(source: FoundChannel, target: str, unit: Unit, sign: int, scale: float, offset: float, note: str) -> Signal:
-    factor = sign * scale * unit.factor
-    return Signal(source, target, factor, sign * scale * unit.offset - factor * offset, note)
+def _signal(source: FoundChannel, target: str, unit: Unit, mapped: Any, note: str) -> Signal:
+    """The signal of an entry of the map. Raises UserError for raw values of a channel whose entry states no `scale`."""
+    has_scale = "scale" in mapped.model_fields_set
+    if source.is_raw and not has_scale:
+        fault = f"holds raw values: {source.scale} cannot be applied"
+        remedy = f"Add `scale` to its entry, or export it in {unit.symbol}"
+        raise UserError(fault, str(source.file.path), f"channel `{source.name}`", remedy)
+    scale_note = ""
+    if source.scale and not has_scale:
+        stated = f"{source.scale}, as the file states, was not applied"
+        scale_note = f"{source.name}: integers; {stated}, since the map has no `scale`"
+    factor = mapped.sign * mapped.scale * unit.factor
+    shift = mapped.sign * mapped.scale * unit.offset - factor * mapped.offset
+    return Signal(source, target, factor, shift, note, scale_note=scale_note)
 
 
 def _unit(source: FoundChannel, stated: str | None, *dimensions: str) -> tuple[Unit, str]:

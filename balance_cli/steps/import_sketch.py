@@ -150,7 +150,10 @@ def _channel_line(geometry: Geometry | None, channel: ForeignChannel, target: st
     entry += [] if is_reading and not channel.scale else ["scale: TODO"]
     comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
     comment = comment if is_reading else "  # volts for one unit, or remove it"
-    comment = f"  # integers: the file states {channel.scale}, which are not applied" if channel.scale else comment
+    if channel.scale:
+        comment = f"  # integers: the file states {channel.scale}, which are not applied"
+    if channel.is_raw:
+        comment = f"  # raw values: {channel.scale} cannot be applied"
     return f"  {quoted(channel.key)}: {{{', '.join(entry)}}}{comment}"
 
 
