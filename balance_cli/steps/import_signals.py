@@ -15,6 +15,7 @@ from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE,
 from balance_cli.steps.import_channels import FIRST, ChannelNames, FoundChannel
 from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_timeline import Clock
+from balance_cli.steps.stated_rates import contradiction
 
 CONTRADICTION = 1e-3
 """Relative difference from which the sample rate of the map contradicts that of the file."""
@@ -79,7 +80,8 @@ class ChannelFinder(ChannelNames):
             return self._clock_by_time(group, FoundChannel(group.names[group.time], channel.file, group, group.time))
         if stated is not None:
             self._require_one_length(channel)
-            return _strided(Clock(stated, group.start, group.samples), group), ""
+            note = contradiction(channel.file, stated, "the map")
+            return _strided(Clock(stated, group.start, group.samples), group), note
         if self._map.time is None:
             raise UserError("has no sample rate", file, place, "Add `time: CHANNEL` or `sample_rate: HZ` to the map")
         return self._clock_by_time(group, self._time_of(channel))
@@ -117,7 +119,8 @@ class ChannelFinder(ChannelNames):
         except UserError as error:
             place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
-        return _strided(Clock(axis.rate, axis.start, group.samples), group), axis.note
+        notes = (axis.note, contradiction(time.file, axis.rate, f"its times `{time.name}`"))
+        return _strided(Clock(axis.rate, axis.start, group.samples), group), "; ".join(filter(None, notes))
 
 
 def _used_names(declared: ImportMap) -> set[str]:

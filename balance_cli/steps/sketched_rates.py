@@ -8,18 +8,12 @@ from collections.abc import Iterator
 
 from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.importers.base import ForeignChannel, ForeignFile
-from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.units import TIME
 from balance_cli.steps.sketched_times import time_axis, unit_of
+from balance_cli.steps.stated_rates import RATE_TOLERANCE, stated_rate, stated_rates
 
 FASTEST_GUESS = 2e6
 """[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
-RATE_TOLERANCE = 1e-3
-"""Relative difference from which the rate in the head of a file contradicts its times."""
-RATE_NAMES = ("sample_rate", "fs", "samplerate", "sampling_rate", "rate", "sr")
-
-STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step")
-"""Names of a time step [s]; `increment` is that of Siemens Testlab."""
 YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 """Words that YAML does not take for text."""
 
@@ -45,31 +39,18 @@ def rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]:
         yield f"time: {quoted(time.name)}" + ("  # and the others as above" if own else "")
         yield from _unit_lines(file, time)
         return
-    stated = [f"{rate:.10g}" for rate in _stated_rates(file)]
+    stated = [f"{rate:.10g}" for rate in stated_rates(file)]
     if len(stated) == 1:
         yield f"sample_rate: {stated[0]}  # Hz, as the file says"
     else:
         yield "sample_rate: TODO  # Hz" + (f": the file says {' and '.join(stated)}" if stated else "")
 
 
-def _stated_rates(file: ForeignFile) -> list[float]:
-    """The different rates [Hz] that the file states beside its channels, themselves or by steps."""
-    stated = [(name.rpartition(".")[2].lower(), value) for name, value in file.scalars.items() if value > 0.0]
-    rates = [value for name, value in stated if name in RATE_NAMES]
-    return list(dict.fromkeys(rates or [whole_rate(1.0 / value) for name, value in stated if name in STEP_NAMES]))
-
-
-def _stated_rate(file: ForeignFile) -> float | None:
-    """The rate [Hz] that the file states, None where it states several or none."""
-    rates = _stated_rates(file)
-    return rates[0] if len(rates) == 1 else None
-
-
 def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
     """The unit of the times, to be completed where the file states none and their steps are not those of seconds."""
     group = next(group for group in file.groups if any(channel is time for channel in group.channels))
     axis = time_axis(group, next(k for k, channel in enumerate(group.channels) if channel is time))
-    unit, stated = unit_of(time.unit, TIME), _stated_rate(file)
+    unit, stated = unit_of(time.unit, TIME), stated_rate(file)
     rate = None if axis is None else axis.rate / (unit.factor if unit else 1.0)
     agrees = rate is not None and stated is not None and abs(rate / stated - 1.0) < RATE_TOLERANCE
     if unit is None and agrees:

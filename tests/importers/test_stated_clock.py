@@ -1,8 +1,13 @@
 """The sample rate in the heads of text files."""
 
+import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.import_map import ImportMap
+from balance_cli.campaign.recording.import_map_file import declared_runs
+from balance_cli.importers import open_foreign
 from balance_cli.importers.stated_clock import stated_rates
+from balance_cli.steps.import_runs import import_run
 
 
 @pytest.mark.parametrize(
@@ -96,3 +101,25 @@ def test_a_comma_between_cells_is_none_within_a_number(line, rates):
 @pytest.mark.parametrize("separator", ["", ";", "\t", " "])
 def test_other_separators_leave_decimal_commas(line, rates, separator):
     assert stated_rates([line], separator) == pytest.approx(rates, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("stated", "clock", "note"),
+    [
+        (2000, {"time": "t"}, "the file states 2000 Hz, its times `t` 1000 Hz, which was taken"),
+        (1000, {"time": "t"}, ""),
+        (2000, {"sample_rate": 1000.0}, "the file states 2000 Hz, the map 1000 Hz, which was taken"),
+        (1000, {"sample_rate": 1000.0}, ""),
+        ("1000,500", {"time": "t"}, ""),
+    ],
+)
+def test_an_import_names_a_rate_in_the_head_that_contradicts_the_one_taken(tmp_path, stated, clock, note):
+    """Only the sketch did."""
+    rows = "".join(f"{k / 1000:.3f},{np.sin(k):.6f}\n" for k in range(60))
+    (tmp_path / "record.csv").write_text(f"SampleRate,{stated}\nt [s],F1 [V]\n{rows}")
+    runs = [{"file": "*", "kind": "zero", "run": "zero-1"}]
+    mapping = {"format": "balance-import/1", "rig": "r", "runs": runs, "channels": {"F1": "z1"}} | clock
+    (declared,) = declared_runs(ImportMap.model_validate(mapping), [tmp_path / "record.csv"], "map")
+    imported = import_run(declared, [open_foreign(tmp_path / "record.csv")])
+    assert imported.run.sample_rate == 1000.0
+    assert imported.notes == ((f"record.csv: {note}",) if note else ())
