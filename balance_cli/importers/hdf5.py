@@ -43,7 +43,7 @@ MISSING_ATTRIBUTES = ("_FillValue", "missing_value")
 """Of netCDF: the numbers that stand for no value, before `scale_factor` and `add_offset` are applied."""
 SINCE = re.compile(r"^(\w+?)s? since ")
 """The unit of times of netCDF: `seconds since 2024-03-12`."""
-SINCE_UNITS = {"second": "s", "millisecond": "ms", "microsecond": "us", "minute": "min", "hour": "h"}
+SINCE_UNITS = {"second": "s", "millisecond": "ms", "microsecond": "us", "minute": "min", "hour": "h", "day": "d"}
 NUMBERS = "iufb"
 """Kinds of numpy types that hold real numbers."""
 MATLAB_HIDDEN = ("#refs#", "#subsystem#")

@@ -15,7 +15,7 @@ from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE,
 from balance_cli.steps.import_channels import FIRST, ChannelNames, FoundChannel
 from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_timeline import Clock
-from balance_cli.steps.stated_rates import contradiction
+from balance_cli.steps.stated_rates import contradiction, time_unit
 
 CONTRADICTION = 1e-3
 """Relative difference from which the sample rate of the map contradicts that of the file."""
@@ -109,7 +109,7 @@ class ChannelFinder(ChannelNames):
             fault = f"the time `{time.name}` has {time.group.samples} samples, channels have {group.samples}"
             raise UserError(fault, str(time.file.path), remedy="Give the time of these channels, or `sample_rate`")
         try:
-            unit = parse_unit(self._map.time_unit or time.unit or "s", "s")
+            unit = time_unit(self._map.time_unit or time.unit or "s")
         except UserError as error:
             raise error.with_location(str(time.file.path), f"time `{time.name}`") from error
         try:

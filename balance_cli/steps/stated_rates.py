@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from balance_cli.importers.base import ForeignFile
 from balance_cli.importers.written_numbers import whole_rate
+from balance_cli.io.units import TIME, Unit, parse_unit
 
+CLOCK_UNITS = {"ns": 1e-9, "d": 86400.0, "day": 86400.0, "days": 86400.0}
+"""[s]. Units of times alone: counters of computers, and dates of spreadsheets."""
 RATE_TOLERANCE = 1e-3
 """Relative difference from which the rate in the head of a file contradicts its times."""
 LARGEST = 1e12
@@ -13,6 +16,12 @@ RATE_NAMES = ("sample_rate", "fs", "samplerate", "sampling_rate", "rate", "sr")
 
 STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step")
 """Names of a time step [s]; `increment` is that of Siemens Testlab."""
+
+
+def time_unit(text: str) -> Unit:
+    """Return the unit of times that a text names. Raises UserError, without file and place, where it names none."""
+    factor = CLOCK_UNITS.get(text)
+    return parse_unit(text, TIME) if factor is None else Unit(text, TIME, factor)
 
 
 def stated_rates(file: ForeignFile) -> list[float]:

@@ -8,6 +8,7 @@ from balance_cli.campaign.recording.import_map_file import declared_runs
 from balance_cli.importers import open_foreign
 from balance_cli.importers.stated_clock import stated_rates
 from balance_cli.steps.import_runs import import_run
+from balance_cli.steps.import_sketch import sketch_map
 
 
 @pytest.mark.parametrize(
@@ -103,6 +104,29 @@ def test_other_separators_leave_decimal_commas(line, rates, separator):
     assert stated_rates([line], separator) == pytest.approx(rates, rel=1e-15)
 
 
+def imported(path, **clock):
+    runs = [{"file": "*", "kind": "zero", "run": "zero-1"}]
+    mapping = {"format": "balance-import/1", "rig": "r", "runs": runs, "channels": {"F1": "z1"}} | clock
+    (declared,) = declared_runs(ImportMap.model_validate(mapping), [path], "map")
+    return import_run(declared, [open_foreign(path)])
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "cell", "said"),
+    [
+        ("Time", "d", lambda t: f"{45363.4 + t / 86400:.10f}", "time: Time\ntime_unit: TODO"),
+        ("ts_ms", "ms", lambda t: f"{1710238272000 + 1000 * t:.0f}", "time: ts_ms\ntime_unit: ms"),
+        ("time_ns", "ns", lambda t: f"{1e9 * t:.0f}", "time: time_ns\ntime_unit: ns"),
+    ],
+)
+def test_dates_of_spreadsheets_and_counters_are_times(tmp_path, name, unit, cell, said):
+    """A counter of milliseconds was a channel, and days were no unit."""
+    rows = "".join(f"{cell(k / 1000)},{np.sin(k):.6f}\n" for k in range(600))
+    (tmp_path / "record.csv").write_text(f"{name},F1 [V]\n{rows}")
+    assert imported(tmp_path / "record.csv", time=name, time_unit=unit).run.sample_rate == 1000.0
+    assert said in sketch_map([open_foreign(tmp_path / "record.csv")], None)
+
+
 @pytest.mark.parametrize(
     ("stated", "clock", "note"),
     [
@@ -117,9 +141,6 @@ def test_an_import_names_a_rate_in_the_head_that_contradicts_the_one_taken(tmp_p
     """Only the sketch did."""
     rows = "".join(f"{k / 1000:.3f},{np.sin(k):.6f}\n" for k in range(60))
     (tmp_path / "record.csv").write_text(f"SampleRate,{stated}\nt [s],F1 [V]\n{rows}")
-    runs = [{"file": "*", "kind": "zero", "run": "zero-1"}]
-    mapping = {"format": "balance-import/1", "rig": "r", "runs": runs, "channels": {"F1": "z1"}} | clock
-    (declared,) = declared_runs(ImportMap.model_validate(mapping), [tmp_path / "record.csv"], "map")
-    imported = import_run(declared, [open_foreign(tmp_path / "record.csv")])
-    assert imported.run.sample_rate == 1000.0
-    assert imported.notes == ((f"record.csv: {note}",) if note else ())
+    found = imported(tmp_path / "record.csv", **clock)
+    assert found.run.sample_rate == 1000.0
+    assert found.notes == ((f"record.csv: {note}",) if note else ())
