@@ -203,7 +203,7 @@ def unit_symbols(*dimensions: str) -> tuple[str, ...]:
 def _normalize(text: str) -> str:
     """Reduce separators to single spaces and special signs to letters."""
     plain = text.strip().translate(_SIGNS)
-    plain = re.sub(r"deg\s*(?=[CFK]$)", "deg", plain)
+    plain = re.sub(r"(?i)deg\s*(?=[CFK]$)", "deg", plain)
     if len(plain) > 1:
         plain = re.sub(r"(?<=[A-Za-z])[.\-_](?=[A-Za-z])", " ", plain)
     return re.sub(r"\s+", " ", re.sub(r"\s*/\s*", "/", plain)).strip()

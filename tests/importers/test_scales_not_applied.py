@@ -75,3 +75,31 @@ def test_a_gain_beside_integers_that_the_map_leaves_out_is_said(tmp_path):
     values, notes = imported(path, {"name": "z1", "scale": 1e-4})
     assert np.allclose(values, 1e-4 * COUNTS, rtol=1e-15) and not notes
     assert not imported(path, {"name": "z1", "scale": 1.0})[1]
+
+
+def rtd(lead, wires):
+    """A Pt100 at 1 mA, by IEC 60751."""
+    stated = {"Current_Excitation": 1e-3, "R0_Nominal_Resistance": 100.0, "A": 3.9083e-3, "B": -5.775e-7}
+    stated |= {"C": -4.183e-12, "Lead_Wire_Resistance": lead, "Resistance_Configuration": wires}
+    stated = {f"RTD_{name}": value for name, value in (stated | {"Input_Source": 0xFFFFFFFF}).items()}
+    return {f"NI_Scale[0]_{name}": value for name, value in (stated | {"Scale_Type": "RTD"}).items()}
+
+
+@pytest.mark.filterwarnings("ignore:'where' used without 'out'")  # npTDMS 1.13 overwrites what it leaves open
+@pytest.mark.parametrize(("lead", "wires", "in_series"), [(0.0, 4, 0.0), (1.0, 3, 1.0), (0.5, 2, 1.0)])
+def test_resistance_thermometers_of_tdms(tmp_path, lead, wires, in_series):
+    """Of IEC 60751, table 1: 60.26, 100, 138.51 and 212.05 ohm at -100, 0, 100 and 300 degC."""
+    volts = 1e-3 * (np.array([60.26, 100.0, 138.51, 212.05]) + in_series)
+    write_tdms(tmp_path / "record.tdms", rtd(lead, wires), values=volts)
+    (group,) = open_foreign(tmp_path / "record.tdms").groups
+    assert group.read([0], 0, 4)[:, 0] == pytest.approx([-100.0, 0.0, 100.0, 300.0], abs=0.02)
+
+
+def test_thermocouples_of_tdms(tmp_path):
+    """Type K by IEC 60584-1: -3554, 0, 4096 and 20644 microvolts at -100, 0, 100 and 500 degC."""
+    stated = {"Thermocouple_Type": 10073, "Scaling_Direction": 0, "Input_Source": 0xFFFFFFFF}
+    scale = {"NI_Scale[0]_Scale_Type": "Thermocouple"}
+    scale |= {f"NI_Scale[0]_Thermocouple_{name}": value for name, value in stated.items()}
+    write_tdms(tmp_path / "record.tdms", scale, values=np.array([-3554.0, 0.0, 4096.0, 20644.0]))
+    (group,) = open_foreign(tmp_path / "record.tdms").groups
+    assert group.read([0], 0, 4)[:, 0] == pytest.approx([-100.0, 0.0, 100.0, 500.0], abs=0.06)

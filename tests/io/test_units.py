@@ -138,6 +138,11 @@ def test_mega_is_not_taken_for_milli(text: str, other: str) -> None:
         parse_unit(text)
 
 
+@pytest.mark.parametrize(("text", "symbol"), [("Deg C", "degC"), ("deg F", "degF"), ("DEG C", "degC")])
+def test_degrees_of_data_loggers_are_read(text: str, symbol: str) -> None:
+    assert parse_unit(text, TEMPERATURE).symbol == symbol
+
+
 @pytest.mark.parametrize(("text", "symbol"), [("mv", "mV"), ("MS", "ms"), ("Min", "min"), ("MPA", "MPa"), ("MM", "mm")])
 def test_capitals_that_are_no_prefix_are_read(text: str, symbol: str) -> None:
     assert parse_unit(text).symbol == symbol
