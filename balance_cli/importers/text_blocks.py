@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from balance_cli.importers.text_clock import CLOCK
 from balance_cli.io.errors import UserError
-from balance_cli.io.text_format import SEPARATORS
+from balance_cli.io.text_format import REMARKS, SEPARATORS
 from balance_cli.io.text_numbers import is_grouped, is_missing, is_number
 
 FEWEST_BLOCK_ROWS = 5
@@ -40,6 +40,11 @@ def require_one_block(header: Rows, decimal: str) -> None:
         values = [cell for cell in cells if not is_missing(cell)]
         run = run + 1 if len(values) > 1 and _are_numbers(values, decimal) else 0
         if run == FEWEST_BLOCK_ROWS:
+            last = header[-1]
+            if last and last[0].startswith(REMARKS) and len(header) > 1 and _is_row(header[-2], decimal):
+                fault = f"the remark `{' '.join(last)[:40]}` stands within the data"
+                remedy = "Remove this row if the samples go on without a gap, or save what is below as another file"
+                raise UserError(fault, place=f"row {len(header)}", remedy=remedy)
             fault = f"has several blocks of rows, one from row {row + 2 - run} and one behind row {len(header)}"
             remedy = "Save each block as a file of its own, or state `first_row` of the last one under `text`"
             raise UserError(fault, remedy=remedy)
@@ -83,6 +88,10 @@ def require_one_sign(rows: Rows, first: int, decimal: str, columns: Sequence[tup
             fault = f"`{cell}` has another decimal sign than `{above}` above, or a sign between thousands"
             remedy = "Write all rows alike, or state `decimal` under `text` in the map"
             raise UserError(fault, place=f"row {first + changed + 1}, column `{name}`", remedy=remedy)
+
+
+def _is_row(cells: Sequence[str], decimal: str) -> bool:
+    return _are_numbers([cell for cell in cells if not is_missing(cell)], decimal)
 
 
 def _are_numbers(values: Sequence[str], decimal: str) -> bool:

@@ -194,6 +194,10 @@ REFUSED = {
     "thousands or fractions": ("t;A\n" + lines(lambda k: f"{k};{77 if k % 2 else f'{k + 1}.234'}"), "1.234 or 1234"),
     "a name too few": ("t,A\n" + plain(","), "2 names above rows of 3 cells"),
     "a row for each channel": ("\n".join(",".join(map(str, row)) for row in np.tile(X.T, 3)), "a row for each channel"),
+    "a remark within the data": (
+        "t,A,B\n" + plain(",") + "# restarted amplifier\n" + plain(","),
+        "the remark `# restarted amplifier` stands within the data",
+    ),
     "an empty row": ("t,A,B\n" + plain(",") + "\n" + plain(","), "an empty row"),
     "a lost cell between spaces": ("t A B\n" + 200 * plain(" ") + "1 2\n" + plain(" "), "2 cells"),
     "a lost cell": ("t,A,B\n" + 200 * plain(",") + "1,2\n" + plain(","), "2 cells"),
