@@ -30,8 +30,11 @@ text."""
 
 OTHER_FILES = {
     b"\x1f\x8b": ("compressed by gzip", "Unpack it first, by gunzip"),
-    b"ARROW1": ("a Feather file", "Save it as Parquet"),
-    b"FEA1": ("a Feather file", "Save it as Parquet"),
+    b"ARROW1": ("a Feather (Arrow) file", "Save it as Parquet"),
+    b"FEA1": ("a Feather (Arrow) file", "Save it as Parquet"),
+    **dict.fromkeys(
+        (b"CDF\x01", b"CDF\x02", b"CDF\x05"), ("a netCDF-3 file", "Convert it to netCDF-4, by `nccopy -k nc4 IN OUT`")
+    ),
 }
 """What a file is that begins so and is not imported, and what helps."""
 
@@ -61,12 +64,13 @@ def _with_possible_size(path: Path, group: ChannelGroup) -> ChannelGroup:
 
 
 def _format_of(path: Path, head: bytes) -> Format:
+    # Before the formats: their zero bytes can be those of a text in UTF-16.
+    for mark, (kind, remedy) in OTHER_FILES.items():
+        if head.startswith(mark):
+            raise UserError(f"is {kind}", remedy=remedy)
     for name in FORMATS:
         module = cast(Format, importlib.import_module(f"{__name__}.{name}"))
         if module.sniff(path, head):
             return module
-    for mark, (kind, remedy) in OTHER_FILES.items():
-        if head.startswith(mark):
-            raise UserError(f"is {kind}", remedy=remedy)
     known = "CSV or other text, UFF 58, TDMS, MDF4, MAT, HDF5, WAV and Parquet"
     raise UserError("is of no format that can be imported", remedy=f"Export it as one of {known}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -27,13 +28,22 @@ class ForeignChannel:
     """A channel as its file names it; `unit` is empty where the file states none.
 
     `label`: what the file calls the signal, where `name` is the place of its samples (`rec.Y[3].Data`); else empty.
+    `ordinal`: which of several channels of one name in the file it is, from 1; 0 where it is the only one.
     `scale`: numbers beside integers that may convert them (`gain 0.01, offset 1`), and are not applied; else empty.
+    `is_raw`: the values are those before a scale of the format that cannot be applied, which `scale` names.
     """
 
     name: str
     unit: str = ""
     label: str = ""
     scale: str = ""
+    is_raw: bool = False
+    ordinal: int = 0
+
+    @property
+    def key(self) -> str:
+        """What a map calls it, also where others have its name."""
+        return f"{self.name} #1" if self.ordinal == 1 else self.name
 
     @property
     def signal(self) -> str:
@@ -119,14 +129,16 @@ class Format(Protocol):
 
 def distinct_names(groups: Sequence[ChannelGroup]) -> tuple[ChannelGroup, ...]:
     """The groups with repeated channel names told apart by `#2`, `#3` and so on, and empty ones numbered."""
-    counts: dict[str, int] = {}
+    plain = [[" ".join(channel.name.split()) or "channel" for channel in group.channels] for group in groups]
+    counts = Counter(name for names in plain for name in names)
+    before: Counter[str] = Counter()
     renamed = []
-    for group in groups:
+    for group, names in zip(groups, plain, strict=True):
         channels = []
-        for channel in group.channels:
-            name = " ".join(channel.name.split()) or "channel"
-            counts[name] = counts.get(name, 0) + 1
-            channels.append(replace(channel, name=name if counts[name] == 1 else f"{name} #{counts[name]}"))
+        for channel, name in zip(group.channels, names, strict=True):
+            before[name] += 1
+            ordinal = before[name] if counts[name] > 1 else 0
+            channels.append(replace(channel, name=f"{name} #{ordinal}" if ordinal > 1 else name, ordinal=ordinal))
         renamed.append(replace(group, channels=tuple(channels)))
     return tuple(renamed)
 

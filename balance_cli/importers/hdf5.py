@@ -20,8 +20,8 @@ from balance_cli.importers.base import (
     damage_error,
     select_columns,
 )
-from balance_cli.importers.matlab_members import CLASS, EMPTY, StoredMember, is_text, own_items, stored_members
-from balance_cli.importers.matrices import scalar_of
+from balance_cli.importers.matlab_members import CLASS, EMPTY, OBJECT, StoredMember, is_text, own_items, stored_members
+from balance_cli.importers.matrices import object_fault, scalar_of
 from balance_cli.importers.stored_scales import numbers_beside, stated_scale
 from balance_cli.importers.time_columns import TIME_NAME
 from balance_cli.importers.written_numbers import whole_rate
@@ -43,7 +43,7 @@ MISSING_ATTRIBUTES = ("_FillValue", "missing_value")
 """Of netCDF: the numbers that stand for no value, before `scale_factor` and `add_offset` are applied."""
 SINCE = re.compile(r"^(\w+?)s? since ")
 """The unit of times of netCDF: `seconds since 2024-03-12`."""
-SINCE_UNITS = {"second": "s", "millisecond": "ms", "microsecond": "us", "minute": "min", "hour": "h"}
+SINCE_UNITS = {"second": "s", "millisecond": "ms", "microsecond": "us", "minute": "min", "hour": "h", "day": "d"}
 NUMBERS = "iufb"
 """Kinds of numpy types that hold real numbers."""
 MATLAB_HIDDEN = ("#refs#", "#subsystem#")
@@ -164,6 +164,8 @@ def _add(member: StoredMember, listed: list[_Listed], scalars: dict[str, float])
 
 def _unusable(item: Any) -> str:
     """Why an array of numbers is no record in time; empty where it is one, and of texts."""
+    if OBJECT in item.attrs:  # the numbers only refer to where its values are
+        return object_fault(attribute_text(item.attrs.get(CLASS)) or "")
     if item.dtype.kind == "c" or {"real", "imag"} == set(item.dtype.names or ()):
         return "complex numbers"
     return f"an array of {len(item.shape)} dimensions" if item.dtype.kind in NUMBERS and len(item.shape) > 2 else ""

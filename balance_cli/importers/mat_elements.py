@@ -12,11 +12,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+from balance_cli.io.errors import UserError
+
 HEADER_BYTES = 128
+ALIGNMENT = 8
+"""Bytes of whose multiple an element is; the last one of a file may lack those that fill it up."""
 MATRIX, COMPRESSED = 14, 15
 VALUE_TYPES = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
 """Integers of 8 to 64 bits, single, double, and text as UTF-8, 16 and 32."""
-LARGEST_CLASS, SPARSE, NUMBERS = 18, 5, range(4, 16)
+LARGEST_CLASS, SPARSE, OBJECT, NUMBERS = 18, 5, 17, range(4, 16)
 """Array classes: from 1, cell, to functions and objects; `NUMBERS` hold text, a sparse matrix or numbers."""
 COMPLEX = 0x800
 DEEPEST_ELEMENT = 32
@@ -29,13 +33,16 @@ Advance = Callable[[int], bytes]
 def examine_elements(path: Path) -> None:
     """Raise ValueError where an array has a class or an element a data type that the format does not define.
 
-    Elements beyond the end of the file are none of it: the reader finds them missing.
+    Also where the file ends within a variable, which scipy would not list.
     """
+    length = path.stat().st_size
     with path.open("rb") as file:
         order = "<" if file.read(HEADER_BYTES)[126:128] == b"IM" else ">"
         while len(tag := file.read(8)) == 8:
             kind, size = struct.unpack(f"{order}II", tag)
             end = file.tell() + size
+            if end >= length + ALIGNMENT:
+                raise ValueError(f"it ends within a variable, {end - length} bytes early")
             if kind == COMPRESSED:
                 _examine(*_inflated(file, size), 1 << 62, order, 0)
             elif kind == MATRIX:
@@ -51,7 +58,7 @@ def _examine(read: Advance, skip: Callable[[int], object], size: int, order: str
         raise ValueError(f"matrices within matrices, more than {DEEPEST_ELEMENT} levels deep")
     expected = 0
     if depth > 0 and size >= 16:
-        expected = _expected_elements(read(16), order)
+        expected = _expected_elements(read(16), order, depth)
         size -= 16
     values = 0
     while size >= 8 and len(tag := read(8)) == 8:
@@ -74,14 +81,20 @@ def _examine(read: Advance, skip: Callable[[int], object], size: int, order: str
         skip(max(size, 0))
 
 
-def _expected_elements(flags: bytes, order: str) -> int:
-    """Return how many elements a matrix of numbers has at least, by its array flags; 0 for others."""
+def _expected_elements(flags: bytes, order: str, depth: int) -> int:
+    """Return how many elements a matrix of numbers has at least, by its array flags; 0 for others.
+
+    Raises UserError for an object as a variable, of which scipy lists nothing, nor of the variables beside it.
+    """
     if len(flags) < 16:
         return 0
     word = struct.unpack(f"{order}4I", flags)[2]
     number = word & 0xFF
     if not 1 <= number <= LARGEST_CLASS:
         raise ValueError(f"a matrix of class {number}, which does not exist")
+    if number == OBJECT and depth == 1:
+        remedy = "Save their values as arrays (x = ts.Data, t = ts.Time), in a file without the objects"
+        raise UserError("holds objects of MATLAB, such as a timeseries or a table, which cannot be read", remedy=remedy)
     if number not in NUMBERS:
         return 0
     return (5 if number == SPARSE else 3) + bool(word & COMPLEX)

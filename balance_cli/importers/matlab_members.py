@@ -17,6 +17,8 @@ from balance_cli.io.hdf5_links import keeps_values_elsewhere
 from balance_cli.io.sniff import attribute_text
 
 CLASS = "MATLAB_class"
+OBJECT = "MATLAB_object_decode"
+"""Attribute of an object: its dataset holds a reference and no values."""
 EMPTY = "MATLAB_empty"
 """Attribute of a dataset that only holds the size of an empty array."""
 LONGEST_TEXT = 1000

@@ -12,6 +12,11 @@ from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, sele
 FEWEST_SAMPLES = 2
 
 
+def object_fault(kind: str) -> str:
+    """Why an object of MATLAB, such as a timeseries or a table, cannot be read, as `unusable` of its group."""
+    return f"an object of MATLAB (`{kind}`), of which only arrays can be read: save its values (x = ts.Data)"
+
+
 def scalar_of(values: Any) -> float | None:
     """The single real number in an array, else None."""
     array = np.asarray(values)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from balance_cli.importers.base import (
     Array,
@@ -27,6 +28,8 @@ from balance_cli.io.reader_process import read_in_child
 NAME = "MDF"
 IDENTIFICATION = 64
 """Bytes of the identification block, which the header block follows."""
+ALL_INVALID = 1
+"""Flag of a channel of MDF 4 without a valid value (ASAM MDF 4.1, block CN); of MDF 3 it has none."""
 SIGNATURES = (b"MDF     ", b"UnFinMF ")
 
 
@@ -124,12 +127,23 @@ def _load_rows(path: Path, index: int, positions: Sequence[int], first: int, las
     with errors_as_damage(path), path.open("rb") as stream, MDF(stream) as file:
         wanted = [(None, index, position) for position in positions]
         signals = file.select(wanted, record_offset=first, record_count=last - first, copy_master=False)
-        columns = [np.asarray(signal.samples) for signal in signals]
+        columns = [(np.asarray(signal.samples), _are_invalid(file, signal)) for signal in signals]
     table = np.empty((last - first, len(columns)), order="F")  # column by column, as they come
-    for values, column in zip(columns, table.T, strict=True):
+    for (values, are_invalid), column in zip(columns, table.T, strict=True):
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
         if len(values) != last - first:
             raise damage_error(f"{len(values)} records from {first} on, where {last - first} are declared")
         column[:] = values
+        column[are_invalid] = np.nan
     return table
+
+
+def _are_invalid(file: Any, signal: Any) -> NDArray[np.bool_]:
+    """Which samples the recorder has marked as no values: by a bit of each record, or by a flag of the channel."""
+    channel = file.groups[signal.group_index].channels[signal.channel_index]
+    if getattr(channel, "flags", 0) & ALL_INVALID:
+        return np.ones(len(signal.samples), bool)
+    if signal.invalidation_bits is None:
+        return np.zeros(len(signal.samples), bool)
+    return np.asarray(signal.invalidation_bits, bool)

@@ -36,8 +36,11 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         read_types = (types.is_integer, types.is_floating, types.is_decimal, types.is_boolean, types.is_temporal)
         is_number = {field.name: any(is_type(field.type) for is_type in read_types) for field in file.schema_arrow}
         kinds = {field.name: str(field.type) for field in file.schema_arrow}
+        in_seconds = {field.name for field in file.schema_arrow if types.is_temporal(field.type)}
+        index = (file.schema_arrow.pandas_metadata or {}).get("index_columns", [])
         rows = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
-    fields = [name for name, is_read in is_number.items() if is_read]
+    # pandas stores its index behind the columns, and a clock among them is the time of the others.
+    fields = sorted((name for name, is_read in is_number.items() if is_read), key=lambda name: name not in index)
     if not fields or sum(rows) < 2:
         raise UserError("has no columns of numbers with samples", remedy="Save one column for each channel")
     ends = np.cumsum([0, *rows])
@@ -46,7 +49,10 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         first, last = (int(np.searchsorted(ends, at, side="right")) - 1 for at in (start, stop - 1))
         return _read(path, [fields[k] for k in columns], range(first, last + 1), start - int(ends[first]), stop - start)
 
-    channels = tuple(ForeignChannel(name, unit or "") for name, unit in map(split_quotient, fields))
+    channels = tuple(
+        ForeignChannel(name, "s" if field in in_seconds else unit or "")
+        for field, (name, unit) in zip(fields, map(split_quotient, fields), strict=True)
+    )
     others = (
         ChannelGroup((ForeignChannel(name),), int(ends[-1]), read, unusable=f"of type {kinds[name]}")
         for name, is_read in is_number.items()

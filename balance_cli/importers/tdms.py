@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -26,6 +27,14 @@ from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 
 NAME = "TDMS"
+SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+SCALE_TYPES = frozenset(
+    (
+        *("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple"),
+        *("Add", "Subtract", "AdvancedAPI"),
+    )
+)
+"""Types of scales that npTDMS 1.13 applies; where another is among the scales of a channel, it gives raw values."""
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -38,8 +47,11 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     nptdms = require_package("nptdms", NAME, "npTDMS")
     with errors_as_damage(), nptdms.TdmsFile.open(path) as file:
         channels = [
-            (group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()
+            (group.name, channel.name, _facts(channel, _unknown_scale(channel, group, file)))
+            for group in file.groups()
+            for channel in group.channels()
         ]
+        notes = ("the file ends early, within its last segment",) if file.file_status.incomplete_final_segment else ()
     if not channels:
         raise UserError("has no channels", remedy="Give a file with channels")
     begins = [facts["begin"] for _, _, facts in channels if facts["begin"] is not None]
@@ -47,10 +59,23 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     several = len({group for group, _, _ in channels}) > 1
     opened = _OpenFile(path)
     groups = tuple(_group(opened, group, name, facts, origin, several) for group, name, facts in channels)
-    return ForeignFile(path, NAME, groups, recorded=None if origin is None else str(origin)[:19])
+    return ForeignFile(path, NAME, groups, notes, None if origin is None else str(origin)[:19])
 
 
-def _facts(channel: Any) -> dict[str, Any]:
+def _unknown_scale(*holders: Any) -> str:
+    """The type of a scale that npTDMS does not apply, and then leaves out all others; empty where it applies them.
+
+    The scales are those of the first of the holders (channel, group, file) that has some.
+    """
+    for properties in (holder.properties for holder in holders):
+        types = [str(value) for name, value in properties.items() if SCALE_TYPE.fullmatch(name)]
+        if properties.get("NI_Number_Of_Scales", len(types)) and types:
+            is_scaled = properties.get("NI_Scaling_Status") == "scaled"
+            return next((kind for kind in types if kind not in SCALE_TYPES), "") if not is_scaled else ""
+    return ""
+
+
+def _facts(channel: Any, unknown_scale: str) -> dict[str, Any]:
     """Length, unit, step, start and type of a channel."""
     properties = channel.properties
     begin = properties.get("wf_start_time")
@@ -65,6 +90,7 @@ def _facts(channel: Any) -> dict[str, Any]:
         "kind": kind,
         # Scales of NI are applied in reading, which makes floating numbers of integers.
         "scale": stated_scale(_numbers(properties)) if kind in ("i", "u") else "",
+        "unknown_scale": unknown_scale,
     }
 
 
@@ -113,5 +139,11 @@ def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], orig
     if facts["samples"] < 2:
         unusable = "without samples"
     facts = {**facts, "unit": "s"} if facts["kind"] == "M" else facts
-    channel = ForeignChannel(f"{group}/{name}" if several else name, facts["unit"], scale=facts["scale"])
+    raw_scale = f"a scale of type `{facts['unknown_scale']}`" if facts["unknown_scale"] else ""
+    channel = ForeignChannel(
+        f"{group}/{name}" if several else name,
+        facts["unit"],
+        scale=raw_scale or facts["scale"],
+        is_raw=bool(raw_scale),
+    )
     return ChannelGroup((channel,), facts["samples"], read, facts["rate"], start, unusable)

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from balance_cli.importers.base import SNIFFED_BYTES, Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout
-from balance_cli.importers.text_layout import Columns, find_columns, split_cells
+from balance_cli.importers.text_blocks import split_cells
+from balance_cli.importers.text_layout import Columns, find_columns
 from balance_cli.importers.text_rows import Rows, index_rows
 from balance_cli.importers.text_table import TextTable
 from balance_cli.importers.time_columns import filled_rows, parts_by_time
@@ -17,6 +18,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import find_encoding
 
 NAME = "text"
+RATE = "sample_rate"
 TEXT_CONTROLS = bytes(range(9)) + bytes(range(14, 27)) + b"\x7f"
 """Bytes that no text has, but for the zeros of UTF-16."""
 
@@ -37,7 +39,9 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     text = _decode(head, encoding)
     columns = find_columns(text, is_whole, encoding, layout)
     rows, notes = index_rows(path, columns)
-    scalars = {} if columns.stated_rate is None else {"sample_rate": columns.stated_rate}
+    # Several are those of different channels.
+    several = len(columns.stated_rates) > 1
+    scalars = {f"{k}.{RATE}" if several else RATE: rate for k, rate in enumerate(columns.stated_rates)}
     dense = [k for k in sorted((*columns.numeric, *columns.clock)) if k not in columns.sparse]
     parts = parts_by_time(dense, columns.times)
     groups = [_group(path, columns, rows, part, columns.times) for part in parts if part]

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
 from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
-from balance_cli.importers.stated_clock import stated_rate
+from balance_cli.importers.stated_clock import stated_rates
+from balance_cli.importers.text_blocks import (
+    FEWEST_BLOCK_ROWS,
+    require_one_block,
+    require_one_notation,
+    require_one_sign,
+    split_cells,
+)
 from balance_cli.importers.text_clock import CLOCK
 from balance_cli.importers.text_names import KEY, counts_rows, names_and_units
 from balance_cli.importers.time_columns import time_columns
@@ -23,8 +28,6 @@ NUMERIC_SHARE = 0.5
 """Share of the cells of a row that must be numbers, times or empty for a row of data; a row of names has hardly any."""
 TYPICAL_ROWS = 50
 """Rows whose usual number of cells is that of the table."""
-FEWEST_BLOCK_ROWS = 5
-"""Rows of numbers above the names of a table that are a table of their own; heads have fewer, with words."""
 FEWEST_SPARSE_ROWS = 4
 """Values at even distances from which a column counts as one of a lower rate; two gaps alike can be chance."""
 NUMERIC_COLUMN_SHARE = 0.9
@@ -58,7 +61,7 @@ class Columns:
     units: tuple[str, ...]
     numeric: tuple[int, ...]
     clock: tuple[int, ...]
-    stated_rate: float | None = None
+    stated_rates: tuple[float, ...] = ()
     sparse: dict[int, tuple[int, int]] = field(default_factory=dict)
     times: tuple[int, ...] = ()
     group_sign: str = ""
@@ -76,7 +79,8 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     rows = [split_cells(line, separator) for line in lines]
     if layout.first_row is None:
         first += first == 0 and _is_row_of_numbers_as_names(rows, decimal)
-        _require_one_block(rows[:first], decimal)
+        require_one_block(rows[:first], decimal)
+        require_one_notation(lines, first, separator, decimal)
         _require_plausible_shape(rows, first, separator, is_whole)
     header, rate = without_clock_cells(rows[:first])
     names, units = names_and_units(header, rows[first:], layout)
@@ -84,6 +88,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     numeric, names = _without_sample_numbers(numeric, names, units)
     cells = {column: [row[column] for row in rows[first:] if len(row) > column] for column in numeric}
     if layout.decimal is None:
+        require_one_sign(rows[first:], first, decimal, [(column, names[column]) for column in numeric])
         for column in numeric:
             require_clear_decimals(cells[column], decimal, names[column])
     sparse = _sparse_columns(rows[first:], numeric)
@@ -101,7 +106,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         units=units,
         numeric=numeric,
         clock=clock,
-        stated_rate=rate or stated_rate(lines[:first]),
+        stated_rates=(rate,) if rate else stated_rates(lines[:first], separator),
         sparse=sparse,
         times=times,
         group_sign=sign,
@@ -183,19 +188,6 @@ def _require_one_clock(header: Sequence[Sequence[str]]) -> None:
             raise UserError(fault, remedy=remedy)
 
 
-def _require_one_block(header: Sequence[Sequence[str]], decimal: str) -> None:
-    """Raise UserError where rows of numbers stand above the names: the table found is not the first one of the file."""
-    run = 0
-    for row, cells in enumerate(header):
-        values = [cell for cell in cells if not is_missing(cell)]
-        are_data = all(is_number(cell, decimal) or CLOCK.match(cell) for cell in values)
-        run = run + 1 if len(values) > 1 and are_data else 0
-        if run == FEWEST_BLOCK_ROWS:
-            fault = f"has several blocks of rows, one from row {row + 2 - run} and one behind row {len(header)}"
-            remedy = "Save each block as a file of its own, or state `first_row` of the last one under `text`"
-            raise UserError(fault, remedy=remedy)
-
-
 def _sparse_columns(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> dict[int, tuple[int, int]]:
     """Columns with a value in every k-th row only, and none in all others."""
     sparse = {}
@@ -206,16 +198,6 @@ def _sparse_columns(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> di
         if step > 1 and filled[0] < step and filled[-1] + step >= len(rows):
             sparse[column] = (filled[0], step)
     return sparse
-
-
-def split_cells(line: str, separator: str) -> list[str]:
-    """The cells of a row, without quotes and outer spaces."""
-    if separator == " ":
-        return line.replace('"', "").split()
-    if '"' in line:
-        with suppress(csv.Error):  # a cell of more than 131072 characters, with a quote without its partner
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
-    return [cell.strip() for cell in line.split(separator)]
 
 
 Score = tuple[int, int, float, int, int, int]

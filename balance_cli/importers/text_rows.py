@@ -12,7 +12,9 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.importers.text_layout import Columns, split_cells
+from balance_cli.importers.text_blocks import split_cells
+from balance_cli.importers.text_end import Cut, cut_number
+from balance_cli.importers.text_layout import Columns
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import is_remark
 
@@ -46,17 +48,34 @@ def index_rows(path: Path, columns: Columns) -> tuple[Rows, list[str]]:
         if end <= first:
             remedy = "Save it with a line for each sample, which ends with LF or CR LF"
             raise UserError("has no rows of numbers behind its head", remedy=remedy)
-        while end > first and is_remark(last := _last_line(file, first, end)):
+        while end > first and is_remark(_last_line(file, first, end)):
             left_out.append("is a remark")
             end = _start_of_line(file, first, end)
-        file.seek(end)
-        if len(split_cells(last, columns.separator)) < len(columns.names) and file.read(1) == b"":
-            left_out.append("broke off")
+        end_fault = _broken_end(file, first, end, columns)
+        if end_fault in ("broke off", Cut.YES.value):
+            left_out.append(end_fault)
             end = _start_of_line(file, first, end)
         offsets, count = _index_lines(file, first, end)
     last_row = columns.first_row + count + len(left_out)
     notes = [f"row {last_row - k} {why} and was left out" for k, why in enumerate(left_out)]
+    if end_fault == Cut.MAYBE.value:
+        notes.append(f"row {columns.first_row + count} {end_fault}")
     return Rows(open_stream, offsets, end, count), notes
+
+
+def _broken_end(file: IO[bytes], first: int, end: int, columns: Columns) -> str:
+    """What is wrong with the last row of data, of a file that ends without a line end; empty where nothing is."""
+    file.seek(end)
+    if file.read(1):
+        return ""
+    begin = max(end - TAIL_BYTES, first)
+    file.seek(begin)
+    lines = file.read(end - begin).decode("latin-1").splitlines()[begin > first :]
+    rows = [split_cells(line, columns.separator) for line in lines]
+    if not rows or len(rows[-1]) < len(columns.names):
+        return "broke off"
+    width = len(rows[-1])
+    return cut_number(rows[-1][-1], [row[-1] for row in rows[:-1] if len(row) == width]).value
 
 
 def _as_utf8(path: Path, encoding: str) -> bytes:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from balance_cli.importers.base import Array, damage_error
+from balance_cli.importers.text_blocks import split_cells
 from balance_cli.importers.text_clock import seconds_of_clock
-from balance_cli.importers.text_layout import Columns, split_cells
+from balance_cli.importers.text_layout import Columns
 from balance_cli.importers.text_rows import INDEXED_ROWS, Rows
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_numbers import (

@@ -11,7 +11,7 @@ import numpy as np
 from balance_cli.importers.base import ChannelGroup
 from balance_cli.io.units import TIME, can_be_unit_of
 
-TIME_NAME = re.compile(r"^(?:.*/)?(time|zeit|temps|timestamp|x[ _]value|t)([\W_\d].*)?$", re.IGNORECASE)
+TIME_NAME = re.compile(r"^(?:.*/)?(time|zeit|temps|timestamp|ts|x[ _]value|t)([\W_\d].*)?$", re.IGNORECASE)
 """A group may stand before the name, as in `Untitled/Time`."""
 LARGEST_UNEVENNESS = 0.6
 """Of the mean step: rounded times scatter by half of one."""

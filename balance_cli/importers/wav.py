@@ -38,7 +38,7 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """Find format and samples."""
-    order, form, offset, size = _chunks(path)
+    order, form, offset, size, stated = _chunks(path)
     code, count, rate, _, frame, bits = struct.unpack(f"{order}HHIIHH", form[:16])
     if code == EXTENSIBLE and len(form) >= 26:
         code = struct.unpack(f"{order}H", form[24:26])[0]
@@ -57,12 +57,14 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         return select_columns(_values(raw, order, code, bits).reshape(-1, count), columns)
 
     channels = tuple(ForeignChannel(f"channel {k + 1}", "1") for k in range(count))
-    notes = () if code == FLOAT else ("integers are read as fractions of full scale",)
-    return ForeignFile(path, NAME, (ChannelGroup(channels, samples, read, float(rate)),), notes)
+    notes = [] if code == FLOAT else ["integers are read as fractions of full scale"]
+    if stated // frame > samples:
+        notes.append(f"the file ends early, after {samples} of {stated // frame} samples")
+    return ForeignFile(path, NAME, (ChannelGroup(channels, samples, read, float(rate)),), tuple(notes))
 
 
-def _chunks(path: Path) -> tuple[str, bytes, int, int]:
-    """Byte order, format chunk, first byte and bytes of the samples."""
+def _chunks(path: Path) -> tuple[str, bytes, int, int, int]:
+    """Byte order, format chunk, first byte of the samples, their bytes in the file, and those that the file states."""
     length, form, wide = path.stat().st_size, b"", 0
     with path.open("rb") as file:
         order = ">" if file.read(12)[:4] == b"RIFX" else "<"
@@ -73,7 +75,8 @@ def _chunks(path: Path) -> tuple[str, bytes, int, int]:
                     break
                 available = length - file.tell()
                 size = wide if wide and size == UNKNOWN_SIZE else size
-                return order, form, file.tell(), min(size, available)
+                stated = available if size == UNKNOWN_SIZE else size
+                return order, form, file.tell(), min(size, available), stated
             if name == b"fmt ":
                 form = file.read(size)
             elif name == b"ds64":

@@ -126,12 +126,13 @@ def parse_unit(text: str, *dimensions: str) -> Unit:
     """Find the unit that a text names, among those of some dimensions (base units; all where none is given).
 
     Upper and lower case count where they make a difference (`mN`, `MN`). Raises UserError, without file and place, for
-    an unknown unit, one of another dimension, or one with two meanings.
+    an unknown unit, one of another dimension, one with two meanings, or mega where only milli is known (`MV`).
     """
     spelling = _normalize(text)
     units = _units_by_spelling().get(spelling) or _ignore_case(spelling)
     fitting = [unit for unit in units if not dimensions or unit.dimension in dimensions]
     if len(fitting) == 1:
+        _require_prefix(spelling, fitting[0])
         return fitting[0]
     if fitting:
         meanings = " or ".join(f"a unit of {unit.dimension}" for unit in fitting)
@@ -202,7 +203,7 @@ def unit_symbols(*dimensions: str) -> tuple[str, ...]:
 def _normalize(text: str) -> str:
     """Reduce separators to single spaces and special signs to letters."""
     plain = text.strip().translate(_SIGNS)
-    plain = re.sub(r"deg\s*(?=[CFK]$)", "deg", plain)
+    plain = re.sub(r"(?i)deg\s*(?=[CFK]$)", "deg", plain)
     if len(plain) > 1:
         plain = re.sub(r"(?<=[A-Za-z])[.\-_](?=[A-Za-z])", " ", plain)
     return re.sub(r"\s+", " ", re.sub(r"\s*/\s*", "/", plain)).strip()
@@ -259,6 +260,26 @@ def _ignore_case(spelling: str) -> tuple[Unit, ...]:
     ]
     distinct = tuple(dict.fromkeys(matches))
     return distinct if len({unit.dimension for unit in distinct}) == len(distinct) else ()
+
+
+def _require_prefix(spelling: str, unit: Unit) -> None:
+    """Raise UserError where a spelling is that of a unit but for mega in place of milli, or the reverse.
+
+    Ratios are none of it: `MV/V` is a head in capitals, as no bridge gives megavolts for a volt.
+    """
+    other = spelling[:1].swapcase() + spelling[1:]
+    table = _units_by_spelling()
+    if (
+        spelling in table
+        or spelling[:1] not in ("m", "M")
+        or unit.dimension == RATIO
+        or unit not in table.get(other, ())
+    ):
+        return
+    if any(base.dimension == unit.dimension for base in table.get(spelling[1:], ())):
+        prefixes = ("mega", "milli") if spelling.startswith("M") else ("milli", "mega")
+        fault = f"the unit `{spelling}` has the prefix {prefixes[0]}, and `{other}` is {prefixes[1]}"
+        raise UserError(fault, remedy=f"Write {other} if that is meant, or convert the values to {unit.dimension}")
 
 
 def _remedy_for_mass(mass: Unit) -> str:

@@ -16,7 +16,8 @@ from balance_cli.signals.rotor.tachometer import (
     TachometerSettings,
     read_rotor_reference,
 )
-from balance_cli.steps.import_signals import ChannelFinder, FoundChannel
+from balance_cli.steps.import_channels import FoundChannel
+from balance_cli.steps.import_signals import ChannelFinder
 from balance_cli.steps.import_timeline import Timeline
 
 Array = NDArray[np.float64]

@@ -114,7 +114,7 @@ def _load_signals(finder: ChannelFinder, declared: DeclaredRun) -> tuple[list[Si
 def _file_notes(finder: ChannelFinder, mapping: ImportMap, signals: Sequence[Signal], has_loads: bool) -> list[str]:
     """What is to be told of the files, their times and units, and of loads that a run of this kind does not have."""
     notes = [*(note for file in finder.files for note in file.notes), *finder.clock_notes]
-    notes += [signal.note for signal in signals if signal.note]
+    notes += [note for signal in signals for note in (signal.note, signal.scale_note) if note]
     unused = [*mapping.loads, *(point.channel for point in mapping.load_points)]
     if unused and not has_loads:
         notes.append(f"a run of this kind has no loads: {', '.join(unused)} left out")

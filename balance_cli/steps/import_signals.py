@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatch
+from typing import Any
 
 from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, MappedLoad
 from balance_cli.campaign.rig.components import UNIT_OF
@@ -14,8 +12,10 @@ from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.steps.import_channels import FIRST, ChannelNames, FoundChannel
 from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_timeline import Clock
+from balance_cli.steps.stated_rates import contradiction, time_unit
 
 CONTRADICTION = 1e-3
 """Relative difference from which the sample rate of the map contradicts that of the file."""
@@ -26,30 +26,14 @@ LEAST_COMMON_LENGTH = 0.9
 half or less."""
 LATEST_START = 1e12
 """[s]. Clocks count from the year 0 at the earliest."""
-SPECTRUM_WORDS = re.compile(r"\b(FFT|PSD|ASD|FRF|(auto|cross|power)?[- ]?spectr(um|al)\w*|spektrum)\b", re.IGNORECASE)
-"""Names of what analyzers export beside records, with frequencies in a column that may be called time."""
-
-
-@dataclass(frozen=True)
-class FoundChannel:
-    """A channel of a file: its group and column."""
-
-    name: str
-    file: ForeignFile
-    group: ChannelGroup
-    column: int
-
-    @property
-    def unit(self) -> str:
-        """The unit that the file states, empty where it states none."""
-        return self.group.channels[self.column].unit
 
 
 @dataclass(frozen=True)
 class Signal:
     """A channel in our units: factor times the file's value, plus offset. `target` is the column that it fills.
 
-    `reading_unit`: base unit of a channel, V or a ratio to the excitation of its bridge.
+    `reading_unit`: base unit of a channel, V or a ratio to the excitation of its bridge. `note` and `scale_note` say
+    what is to be told of its unit, and of a scale in the file that was not applied.
     """
 
     source: FoundChannel
@@ -58,91 +42,18 @@ class Signal:
     offset: float
     note: str = ""
     reading_unit: str = VOLTAGE
+    scale_note: str = ""
 
 
-class ChannelFinder:
-    """The channels of the files of one run, by name."""
+class ChannelFinder(ChannelNames):
+    """The channels of the files of one run, by name, with their clocks."""
 
     def __init__(self, files: Sequence[ForeignFile], declared: ImportMap) -> None:
+        used = _used_names(declared)
+        super().__init__(joined_pieces(files, used, declared.time), used)
         self._map = declared
-        self.files = joined_pieces(files, self._used_names(), declared.time)
-        self._channels: dict[str, FoundChannel] = {}
         self._clocks: dict[int, tuple[Clock, str]] = {}
         self._at_stated_rate: dict[str, FoundChannel] = {}
-        for file in self.files:
-            for group in file.groups:
-                for column, channel in enumerate(group.channels):
-                    self._add(FoundChannel(channel.name, file, group, column))
-
-    def _add(self, channel: FoundChannel) -> None:
-        first = self._channels.setdefault(channel.name, channel)
-        if first is not channel and channel.name in self._used_names():
-            fault = f"has the channel `{channel.name}`, which {first.file.path} has, too"
-            remedy = (
-                f"Give these files different run names, or write `{channel.file.path.name}/{channel.name}`; of pieces "
-                "of one record the times must go on from file to file"
-            )
-            raise UserError(fault, str(channel.file.path), remedy=remedy)
-
-    def _used_names(self) -> set[str]:
-        declared = self._map
-        mapped = {*declared.channels, *declared.loads, *declared.attitude, *declared.temperature}
-        return mapped | {point.channel for point in declared.load_points}
-
-    def namesakes(self, channel: FoundChannel) -> list[FoundChannel]:
-        """Channels of the same name in other files of the run."""
-        return [
-            FoundChannel(channel.name, file, group, group.names.index(channel.name))
-            for file in self.files
-            if file is not channel.file
-            for group in file.groups
-            if channel.name in group.names and not group.unusable
-        ]
-
-    def find(self, name: str) -> FoundChannel:
-        """The channel of this name, or of one file as `FILE/CHANNEL`; `*` and `?` in FILE stand for any characters.
-
-        Raises UserError, with the nearest one, where there is none or it is unusable.
-        """
-        key = " ".join(name.split())
-        channel = self._named(name)
-        file = str(self.files[0].path)
-        if channel is None:
-            near = difflib.get_close_matches(key, self._channels, n=1, cutoff=0.0)
-            count = len(self._channels)
-            remedy = f"The nearest of its {count} channels is `{near[0]}`" if near else "It has no channels"
-            remedy += f"; `{name}: null` in the entry of `runs` leaves it out"
-            raise UserError(f"has no channel `{name}`, which the map names", file, remedy=remedy)
-        if channel.group.unusable:
-            fault = f"is {channel.group.unusable}"
-            raise UserError(fault, str(channel.file.path), f"channel `{name}`", "Leave it out of the map")
-        if SPECTRUM_WORDS.search(f"{channel.name} {channel.unit}"):
-            fault = "seems to be a spectrum, and no record in time"
-            remedy = "Export the samples in time, or rename the channel in the file if it is one"
-            raise UserError(fault, str(channel.file.path), f"channel `{name}`", remedy)
-        return channel
-
-    def has(self, name: str) -> bool:
-        """Whether the files have a channel of this name, as `find` takes it."""
-        return self._named(name) is not None
-
-    def _named(self, name: str) -> FoundChannel | None:
-        key = " ".join(name.split())
-        return self._channels.get(key) or self._find_in_file(key) or self._find_in_group(key)
-
-    def _find_in_group(self, key: str) -> FoundChannel | None:
-        """The only channel `GROUP/key`: a file with a second group, as of a tachometer, names the groups of all."""
-        named = [channel for name, channel in self._channels.items() if name.rpartition("/")[2] == key]
-        return named[0] if len(named) == 1 else None
-
-    def _find_in_file(self, key: str) -> FoundChannel | None:
-        pattern, _, name = key.partition("/")
-        for file in self.files:
-            if fnmatch(file.path.name, pattern.strip()) or fnmatch(file.path.stem, pattern.strip()):
-                for group in file.groups:
-                    if name.strip() in group.names:
-                        return FoundChannel(name.strip(), file, group, group.names.index(name.strip()))
-        return None
 
     def clock(self, channel: FoundChannel) -> Clock:
         """Rate and start of a channel's group: from the file, from its time column, or from the map."""
@@ -169,7 +80,8 @@ class ChannelFinder:
             return self._clock_by_time(group, FoundChannel(group.names[group.time], channel.file, group, group.time))
         if stated is not None:
             self._require_one_length(channel)
-            return _strided(Clock(stated, group.start, group.samples), group), ""
+            note = contradiction(channel.file, stated, "the map")
+            return _strided(Clock(stated, group.start, group.samples), group), note
         if self._map.time is None:
             raise UserError("has no sample rate", file, place, "Add `time: CHANNEL` or `sample_rate: HZ` to the map")
         return self._clock_by_time(group, self._time_of(channel))
@@ -197,7 +109,7 @@ class ChannelFinder:
             fault = f"the time `{time.name}` has {time.group.samples} samples, channels have {group.samples}"
             raise UserError(fault, str(time.file.path), remedy="Give the time of these channels, or `sample_rate`")
         try:
-            unit = parse_unit(self._map.time_unit or time.unit or "s", "s")
+            unit = time_unit(self._map.time_unit or time.unit or "s")
         except UserError as error:
             raise error.with_location(str(time.file.path), f"time `{time.name}`") from error
         try:
@@ -207,7 +119,14 @@ class ChannelFinder:
         except UserError as error:
             place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
-        return _strided(Clock(axis.rate, axis.start, group.samples), group), axis.note
+        notes = (axis.note, contradiction(time.file, axis.rate, f"its times `{time.name}`"))
+        return _strided(Clock(axis.rate, axis.start, group.samples), group), "; ".join(filter(None, notes))
+
+
+def _used_names(declared: ImportMap) -> set[str]:
+    mapped = {*declared.channels, *declared.loads, *declared.attitude, *declared.temperature}
+    names = mapped | {point.channel for point in declared.load_points}
+    return names | {name.removesuffix(FIRST) for name in names}
 
 
 def _strided(clock: Clock, group: ChannelGroup) -> Clock:
@@ -230,19 +149,19 @@ def channel_signal(source: FoundChannel, mapped: MappedChannel) -> Signal:
     unit, note = _unit(source, mapped.unit, *dimensions)
     has_scale = "scale" in mapped.model_fields_set
     if unit.dimension == RATIO and not has_scale and mapped.excitation is None:
-        signal = _signal(source, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+        signal = _signal(source, mapped.name, unit, mapped, note)
         return replace(signal, reading_unit=RATIO)
     if unit.dimension != VOLTAGE and not has_scale:
         fault = f"is in {unit.symbol}, not in volts"
         remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"
         raise UserError(fault, str(source.file.path), f"channel `{source.name}`", remedy)
-    return _signal(source, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+    return _signal(source, mapped.name, unit, mapped, note)
 
 
 def load_signal(source: FoundChannel, mapped: MappedLoad) -> Signal:
     """A hub load in N or N m."""
     unit, note = _unit(source, mapped.unit, UNIT_OF[mapped.component])
-    return _signal(source, mapped.component, unit, mapped.sign, mapped.scale, mapped.offset, note)
+    return _signal(source, mapped.component, unit, mapped, note)
 
 
 def other_signal(source: FoundChannel, target: str, mapped: object, dimension: str, default: str) -> Signal:
@@ -251,13 +170,23 @@ def other_signal(source: FoundChannel, target: str, mapped: object, dimension: s
     unit, note = _unit(source, stated, dimension)
     if dimension == ANGLE:
         unit = Unit(unit.symbol, ANGLE, unit.factor / parse_unit("deg", ANGLE).factor)
-    sign, scale, offset = (getattr(mapped, name) for name in ("sign", "scale", "offset"))
-    return _signal(source, target, unit, sign, scale, offset, note)
+    return _signal(source, target, unit, mapped, note)
 
 
-def _signal(source: FoundChannel, target: str, unit: Unit, sign: int, scale: float, offset: float, note: str) -> Signal:
-    factor = sign * scale * unit.factor
-    return Signal(source, target, factor, sign * scale * unit.offset - factor * offset, note)
+def _signal(source: FoundChannel, target: str, unit: Unit, mapped: Any, note: str) -> Signal:
+    """The signal of an entry of the map. Raises UserError for raw values of a channel whose entry states no `scale`."""
+    has_scale = "scale" in mapped.model_fields_set
+    if source.is_raw and not has_scale:
+        fault = f"holds raw values: {source.scale} cannot be applied"
+        remedy = f"Add `scale` to its entry, or export it in {unit.symbol}"
+        raise UserError(fault, str(source.file.path), f"channel `{source.name}`", remedy)
+    scale_note = ""
+    if source.scale and not has_scale:
+        stated = f"{source.scale}, as the file states, was not applied"
+        scale_note = f"{source.name}: integers; {stated}, since the map has no `scale`"
+    factor = mapped.sign * mapped.scale * unit.factor
+    shift = mapped.sign * mapped.scale * unit.offset - factor * mapped.offset
+    return Signal(source, target, factor, shift, note, scale_note=scale_note)
 
 
 def _unit(source: FoundChannel, stated: str | None, *dimensions: str) -> tuple[Unit, str]:

@@ -150,8 +150,11 @@ def _channel_line(geometry: Geometry | None, channel: ForeignChannel, target: st
     entry += [] if is_reading and not channel.scale else ["scale: TODO"]
     comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
     comment = comment if is_reading else "  # volts for one unit, or remove it"
-    comment = f"  # integers: the file states {channel.scale}, which are not applied" if channel.scale else comment
-    return f"  {quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
+    if channel.scale:
+        comment = f"  # integers: the file states {channel.scale}, which are not applied"
+    if channel.is_raw:
+        comment = f"  # raw values: {channel.scale} cannot be applied"
+    return f"  {quoted(channel.key)}: {{{', '.join(entry)}}}{comment}"
 
 
 def _nearest(name: str, names: Sequence[str]) -> str | None:
@@ -186,12 +189,12 @@ def _guess_loads(
 def _load_line(channel: ForeignChannel, component: str) -> str:
     unit = channel.unit or ("N" if component.startswith("F") else "N m")
     comment = "  # TODO: check the sign" if channel.unit else "  # TODO: check unit and sign"
-    return f"  {quoted(channel.name)}: {{component: {component}, unit: {quoted(unit)}, sign: 1}}{comment}"
+    return f"  {quoted(channel.key)}: {{component: {component}, unit: {quoted(unit)}, sign: 1}}{comment}"
 
 
 def _rotor_lines(tachometer: ForeignChannel | None, geometry: Geometry | None) -> Iterator[str]:
     mark = "" if tachometer is not None else "# "
-    name = quoted(tachometer.name) if tachometer is not None else "TACHOMETER"
+    name = quoted(tachometer.key) if tachometer is not None else "TACHOMETER"
     yield f"{mark}rotor:"
     yield f"{mark}  channel: {name}"
     yield from _pulse_lines(tachometer, mark)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from balance_cli.importers.base import ForeignChannel, ForeignFile
+from balance_cli.steps.sketched_rates import quoted
 from balance_cli.steps.sketched_times import empty_times, time_channel
 
 Entries = Mapping[str, tuple[ForeignChannel, str]]
@@ -62,9 +63,9 @@ def difference_lines(
     lines = []
     for name, (channel, target) in entries.items():
         if name not in own:
-            lines.append(f"{entry_line(channel, target).partition(':')[0]}: null  # not in this file")
+            lines.append(f"  {quoted(channel.key)}: null  # not in this file")
         elif own[name].unit.strip() != channel.unit.strip():
-            lines.append(entry_line(own[name], target))
+            lines.append(entry_line(replace(own[name], ordinal=channel.ordinal), target))
     lines += [entry_line(*entry) for entry in own_entries.values()]
     if lines:
         yield f"    {field}:  # in place of those above"

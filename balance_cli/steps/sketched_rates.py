@@ -8,18 +8,14 @@ from collections.abc import Iterator
 
 from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.importers.base import ForeignChannel, ForeignFile
-from balance_cli.importers.written_numbers import whole_rate
-from balance_cli.io.units import TIME
-from balance_cli.steps.sketched_times import time_axis, unit_of
+from balance_cli.io.errors import UserError
+from balance_cli.steps.sketched_times import time_axis
+from balance_cli.steps.stated_rates import RATE_TOLERANCE, stated_rate, stated_rates, time_unit
 
 FASTEST_GUESS = 2e6
 """[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
-RATE_TOLERANCE = 1e-3
-"""Relative difference from which the rate in the head of a file contradicts its times."""
-RATE_NAMES = ("sample_rate", "fs", "samplerate", "sampling_rate", "rate", "sr")
-
-STEP_NAMES = ("dt", "ts", "delta_t", "increment", "sample_interval", "time_step")
-"""Names of a time step [s]; `increment` is that of Siemens Testlab."""
+UNIT_IN_NAME = re.compile(r"[a-z]_(s|ms|us|ns)$", re.IGNORECASE)
+"""As counters are named: `ts_ms`, `time_us`."""
 YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 """Words that YAML does not take for text."""
 
@@ -45,31 +41,44 @@ def rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]:
         yield f"time: {quoted(time.name)}" + ("  # and the others as above" if own else "")
         yield from _unit_lines(file, time)
         return
-    rate = _stated_rate(file)
-    yield "sample_rate: TODO  # Hz" if rate is None else f"sample_rate: {rate:.10g}  # Hz, as the file says"
-
-
-def _stated_rate(file: ForeignFile) -> float | None:
-    """The rate [Hz] that the file states beside its channels, itself or by a step; None where it states several."""
-    stated = [(name.rpartition(".")[2].lower(), value) for name, value in file.scalars.items() if value > 0.0]
-    rates = {value for name, value in stated if name in RATE_NAMES}
-    rates = rates or {whole_rate(1.0 / value) for name, value in stated if name in STEP_NAMES}
-    return rates.pop() if len(rates) == 1 else None
+    stated = [f"{rate:.10g}" for rate in stated_rates(file)]
+    if len(stated) == 1:
+        yield f"sample_rate: {stated[0]}  # Hz, as the file says"
+    else:
+        yield "sample_rate: TODO  # Hz" + (f": the file says {' and '.join(stated)}" if stated else "")
 
 
 def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
     """The unit of the times, to be completed where the file states none and their steps are not those of seconds."""
     group = next(group for group in file.groups if any(channel is time for channel in group.channels))
     axis = time_axis(group, next(k for k, channel in enumerate(group.channels) if channel is time))
-    unit, stated = unit_of(time.unit, TIME), _stated_rate(file)
-    rate = None if axis is None else axis.rate / (unit.factor if unit else 1.0)
+    stated, named = stated_rate(file), "" if time.unit else _unit_in_name(time)
+    factor = _factor(time.unit or named)
+    rate = None if axis is None else axis.rate / (factor or 1.0)
     agrees = rate is not None and stated is not None and abs(rate / stated - 1.0) < RATE_TOLERANCE
-    if unit is None and agrees:
+    if named:
+        yield f"time_unit: {named}  # as its name says"
+    elif factor is None and agrees:
         yield "time_unit: s  # the head states the same rate"
-    elif unit is None and (rate is None or 1.0 < rate < FASTEST_GUESS):
+    elif factor is None and (rate is None or 1.0 < rate < FASTEST_GUESS):
         yield "time_unit: s  # assumed: the file states no unit of its times"
-    elif unit is None:
-        yield f"time_unit: {UNFINISHED}  # s, ms, us, min or h: the file states none; in one it has {rate:.6g} samples"
+    elif factor is None:
+        yield f"time_unit: {UNFINISHED}  # s, ms, us, ns, min, h or d (dates of spreadsheets): the file states none"
+        yield f"# in one of them are {rate:.6g} samples"
         yield "# sample_rate: TODO  # Hz, in place of time and time_unit, where it is none of these"
     if rate is not None and stated is not None and not agrees:
         yield f"# TODO: the head states {stated:.10g} Hz, these times are of {rate:.10g} Hz"
+
+
+def _unit_in_name(time: ForeignChannel) -> str:
+    """The unit of time at the end of a name such as `ts_ms`, empty where there is none."""
+    match = UNIT_IN_NAME.search(time.name)
+    return match[1].lower() if match else ""
+
+
+def _factor(unit: str) -> float | None:
+    """Seconds of a unit of time, None where a text names none."""
+    try:
+        return time_unit(unit).factor if unit else None
+    except UserError:
+        return None

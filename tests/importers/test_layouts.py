@@ -148,12 +148,56 @@ def test_layouts_of_other_programs(tmp_path, text, values, said):
     assert {"A", "B"} <= set(yaml.safe_load(sketch)["channels"])
 
 
+def turned(rows, at, separator=";"):
+    """Rows whose decimal sign is a comma from row `at` on."""
+    rows = [row.replace(",", separator) for row in rows.splitlines()]
+    return "".join(f"{row if k < at else row.replace('.', ',')}\n" for k, row in enumerate(rows))
+
+
+def turned_back(rows, at):
+    return "".join(f"{row}\n" for row in turned(rows, at).replace(".", "~").replace(",", ".").replace("~", ",").split())
+
+
+HEAD = "t [s],A [N],B [N]\n"
+TWO_SIGNS = {
+    f"{name}, from row {at} on": (HEAD.replace(",", sep) + rows(at), f"row {at + 1}")
+    for name, sep, rows in (
+        ("comma", ";", lambda at: turned(plain(","), at)),
+        ("comma and tabs", "\t", lambda at: turned(plain(","), at, "\t")),
+        ("point", ";", lambda at: turned_back(plain(","), at)),
+    )
+    for at in (1, 4, 30, *([COUNT - 1] if name != "point" else []))
+}
+TWO_SIGNS["thousandths"] = (HEAD.replace(",", ";") + turned(plain(",", values=LARGE, form="{:.3f}"), 30), "row 31")
+TWO_SIGNS["no head"] = (turned(plain(","), 30), "row 30")
+TWO_SIGNS["beyond the part that shows the layout"] = (turned(60 * plain(","), 3000), "row 3001, column `column 1`")
+TWO_SIGNS["other separators"] = (HEAD.replace(",", ";") + 8 * plain(";") + 8 * plain("\t"), "row 481")
+
+
+@pytest.mark.parametrize(("text", "place"), TWO_SIGNS.values(), ids=TWO_SIGNS)
+def test_rows_with_another_decimal_sign_are_no_head(tmp_path, text, place):
+    """The rows above the change were left out without a word."""
+    with pytest.raises(UserError) as caught:
+        file = opened(tmp_path, text)
+        [group.read(range(len(group.names)), 0, group.samples) for group in file.groups]
+    assert caught.value.place.startswith(place)
+
+
+@pytest.mark.parametrize("head", ["0.001;2\nt;A;B\n", "Rate;2000.0;1000.0\nt;A;B\n", "0.5 1.5 2.5\nt;A;B\n"])
+def test_a_head_may_hold_numbers_with_another_decimal_sign(tmp_path, head):
+    assert np.array_equal(whole(opened(tmp_path, head + plain(";", ",")), "A"), X[:, 0])
+
+
 REFUSED = {
     "different steps": (LVM.format("No", 0.001, 0.002) + lines(lambda k: f"\t{k}.5\t{k}.5\t"), "0.001 and 0.002"),
     "the comma as separator and decimal sign": ("t,A,B\n" + plain(",", ","), "separator and decimal sign"),
     "thousands or fractions": ("t;A\n" + lines(lambda k: f"{k};{77 if k % 2 else f'{k + 1}.234'}"), "1.234 or 1234"),
     "a name too few": ("t,A\n" + plain(","), "2 names above rows of 3 cells"),
     "a row for each channel": ("\n".join(",".join(map(str, row)) for row in np.tile(X.T, 3)), "a row for each channel"),
+    "a remark within the data": (
+        "t,A,B\n" + plain(",") + "# restarted amplifier\n" + plain(","),
+        "the remark `# restarted amplifier` stands within the data",
+    ),
     "an empty row": ("t,A,B\n" + plain(",") + "\n" + plain(","), "an empty row"),
     "a lost cell between spaces": ("t A B\n" + 200 * plain(" ") + "1 2\n" + plain(" "), "2 cells"),
     "a lost cell": ("t,A,B\n" + 200 * plain(",") + "1,2\n" + plain(","), "2 cells"),
@@ -193,6 +237,14 @@ def test_row_numbers_are_no_time_and_unclear_units_are_to_be_completed(tmp_path)
     assert "time_unit: TODO" in text
     text = sketch_map([opened(tmp_path, "Rate: fs = 500 Hz\nTime [s],A\n" + lines(lambda k: f"{TIME[k]},0.5"))], None)
     assert "the head states 500 Hz, these times are of 1000 Hz" in text
+
+
+def test_rates_of_channels_that_differ_are_to_be_completed(tmp_path):
+    head = "SampleRate,{}\nA [V],B [V]\n" + lines(lambda k: f"{X[k, 0]},{X[k, 1]}")
+    text = sketch_map([opened(tmp_path, head.format("1.0E+03,1.0E+03"))], None)
+    assert "sample_rate: 1000  # Hz, as the file says" in text
+    text = sketch_map([opened(tmp_path, head.format("1000,500"))], None)
+    assert "sample_rate: TODO  # Hz: the file says 1000 and 500" in text
 
 
 def test_numbers_for_no_value_are_missing_where_they_are_far_from_all_others(tmp_path):

@@ -240,3 +240,24 @@ def test_what_has_to_be_unpacked_is_named(tmp_path: Path, mark: bytes, remedy: s
     (tmp_path / "zero.csv.gz").write_bytes(mark + bytes(range(256)))
     with pytest.raises(UserError, match=remedy):
         open_foreign(tmp_path / "zero.csv.gz")
+
+
+def test_the_index_of_pandas_in_a_parquet_file_is_its_time(tmp_path: Path) -> None:
+    """It was a channel without a unit, and the rate was to be completed."""
+    pd, _ = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
+    table = pd.DataFrame({"F1 [V]": X[:, 0]}, index=pd.date_range("2024-03-12", periods=200, freq="1ms"))
+    table.to_parquet(tmp_path / "zero.parquet")
+    text, entries = sketch(tmp_path / "zero.parquet")
+    assert entries["time"] == "__index_level_0__" and list(entries["channels"]) == ["F1"] and "time_unit" not in text
+    table.reset_index(drop=True).to_parquet(tmp_path / "plain.parquet")
+    assert "sample_rate: TODO" in sketch(tmp_path / "plain.parquet")[0]
+
+
+@pytest.mark.parametrize(
+    ("head", "kind"), [(b"ARROW1\0\0\xff\xff\xff\xff", "a Feather"), (b"CDF\1\0\0\0\0\0\0\0\n", "a netCDF-3 file")]
+)
+def test_formats_that_are_not_read_are_named(tmp_path: Path, head: bytes, kind: str) -> None:
+    """Their zero bytes were taken for a text in UTF-16 without columns of numbers."""
+    (tmp_path / "record").write_bytes(head + b"\0\1\0\2\0a\0b" * 40)
+    with pytest.raises(UserError, match=f"is {kind}"):
+        open_foreign(tmp_path / "record")

@@ -131,6 +131,23 @@ def test_bridge_ratio(text: str) -> None:
     assert parse_unit("µV/V").factor == 1e-6
 
 
+@pytest.mark.parametrize(("text", "other"), [("MV", "mV"), ("Ms", "ms"), ("mPa", "MPa"), ("Mrad", "mrad")])
+def test_mega_is_not_taken_for_milli(text: str, other: str) -> None:
+    """`MV` was read as millivolts."""
+    with pytest.raises(UserError, match=f"the unit `{text}` has the prefix m.*Write {other} if that is meant"):
+        parse_unit(text)
+
+
+@pytest.mark.parametrize(("text", "symbol"), [("Deg C", "degC"), ("deg F", "degF"), ("DEG C", "degC")])
+def test_degrees_of_data_loggers_are_read(text: str, symbol: str) -> None:
+    assert parse_unit(text, TEMPERATURE).symbol == symbol
+
+
+@pytest.mark.parametrize(("text", "symbol"), [("mv", "mV"), ("MS", "ms"), ("Min", "min"), ("MPA", "MPa"), ("MM", "mm")])
+def test_capitals_that_are_no_prefix_are_read(text: str, symbol: str) -> None:
+    assert parse_unit(text).symbol == symbol
+
+
 def test_other_signals() -> None:
     assert parse_unit("m/s^2").dimension == ACCELERATION
     assert parse_unit("m/s²").dimension == ACCELERATION

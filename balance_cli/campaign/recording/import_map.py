@@ -176,7 +176,7 @@ class ImportMap(FrozenModel):
     rig: Name
     text: TextSettings = TextSettings()
     time: Name | None = None
-    time_unit: Literal["s", "ms", "us", "min", "h"] | None = None
+    time_unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] | None = None
     sample_rate: Rate | None = None
     resample: Rate | None = None
     channels: dict[str, Annotated[MappedChannel, BeforeValidator(name_as_mapping)]]
