@@ -80,9 +80,11 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
         health = live_channels(run, geometry)
         if health.left_out:
             left_out[run.name] = health.left_out
+        if not health.live and not health.left_out:
+            unused[run.name] = "no channel measures at rest"
+            continue
         if not health.live:
-            name = run.file
-            raise UserError("no usable channel", name, "channels", "Repair this run or leave it out")
+            raise UserError("no usable channel", run.file, "channels", "Repair this run or leave it out")
         if run.kind == "static":
             try:
                 points = static_points(run, health.live)
