@@ -15,6 +15,7 @@ from scipy.fft import rfft
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, variance_floor
+from balance_cli.signals.deviating_periods import no_common_line, require_like_loads
 from balance_cli.signals.line_covariance import LineCovariance, pool_scatter
 from balance_cli.signals.periodic_transient import SteadyStart, find_steady_start
 from balance_cli.signals.quantization import COMPARED_SAMPLES, quantization_steps, repeated_variance
@@ -109,7 +110,8 @@ def periodic_record(
     noise, left, information = _beside_transient(spectra, start, mean, (noise, floor), c)
     variance = total.variance if left is None else total.variance + np.einsum("kss->ks", left).real
     excited = _excited_lines(mean, variance, len(components))
-    selected = _select_lines(run, excited, frequency, band)
+    selected = _select_lines(run, excited, frequency, band, spectra[:, :, c:])
+    require_like_loads(run, spectra[:, selected, c:], int(start.first.max()))
     inputs = _input_columns(components, excited[selected], run.excited)
     signals = np.array([*range(c), *(c + i for i in inputs)])
     covariance = total.at(selected, signals)
@@ -250,13 +252,12 @@ def _excited_lines(mean: ComplexArray, variance: Array, inputs: int) -> NDArray[
 
 
 def _select_lines(
-    run: Run, excited: NDArray[np.bool_], frequency: Array, band: tuple[float, float]
+    run: Run, excited: NDArray[np.bool_], frequency: Array, band: tuple[float, float], loads: ComplexArray
 ) -> NDArray[np.bool_]:
-    """Which lines (K,) are excited and within `band` [Hz]. Raises UserError where there are none."""
+    """Which lines (K,) are excited and within `band` [Hz]. Raises UserError where `loads` (P, K, u) have none."""
     selected = np.any(excited, axis=1)
     if not np.any(selected):
-        fault = "no line of the loads repeats from period to period"
-        raise run_error(run, fault, "Check `period` and `sample_rate`", "attribute `period`")
+        raise no_common_line(run, loads)
     selected &= (frequency >= band[0]) & (frequency <= band[1])
     if not np.any(selected):
         raise run_error(
