@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import Calibration, TrimCalibration
@@ -31,8 +32,10 @@ MIN_TEMPERATURE_RANGE = 0.5
 """Range of temperature [K] below which no term is sought: sensors differ by that much from strain gauges."""
 ROWS_PER_TERM = 3
 """Rows for each column from which squares and products stand beside the loads while temperature is estimated."""
-
-
+MIN_ROWS_PER_TERM = 2
+"""The same beside the terms of the calibration model: the scatter is then known to 15 % in a table of 90 rows."""
+MIN_TOLD_SHARE = 0.05
+"""Part of a square or product that zeros and other terms must leave for it to stand beside those of temperature."""
 TEMPERATURE_FITS = 2
 """Fits where temperature matters: the first finds the nonlinear terms, beside which the second has temperature."""
 
@@ -162,12 +165,16 @@ def initial_temperature_terms(runs: Sequence[Run], geometry: Geometry) -> Temper
 def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibration) -> TemperatureTerms:
     """Estimate the terms of temperature beside the terms of the calibration model, from the rows that it fits.
 
-    `runs`: as they were read.
+    Where that is nonlinear, the squares and products that these rows tell stand beside them, too: in a ramp of several
+    loads at one temperature a product that was not significant looks like a drift of the sensitivities, by more than
+    their standard errors. `runs`: as they were read.
     """
     model, used = all_trims.model, all_trims.used
     block = all_trims.run if all_trims.load_series is None else all_trims.load_series
     merged = [rows.run for rows in load_point_rows(runs)]
-    values = term_values(model.parsed_terms, all_trims.loads[used] / model.calibrated_range)
+    x = all_trims.loads[used] / model.calibrated_range
+    values = term_values(model.parsed_terms, x)
+    columns = [values[:, np.isfinite(column)] for column in model.t.T]
     temperature = np.concatenate([each for each in map(run_temperature, runs) if each is not None])
     return estimate_temperature_terms(
         TemperatureRows(
@@ -176,11 +183,29 @@ def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibratio
             np.vstack([read_channels(run, model.channel_names) for run in merged])[used],
             all_trims.loads[used],
             temperature[used],
-            [values[:, np.isfinite(column)] for column in model.t.T],
+            [_with_quadratic_terms(each, x, block[used]) if model.is_nonlinear else each for each in columns],
             block[used],
             np.ones(int(used.sum())),
         )
     )
+
+
+def _with_quadratic_terms(columns: Array, x: Array, series: NDArray[np.intp]) -> Array:
+    """The columns (m, p) of a channel, with the squares and products of loads x (m, k) that the rows tell beside them.
+
+    The columns alone, where the rows are too few for all of these.
+    """
+    further = term_values([term for term in all_terms(x.shape[1]) if term.is_quadratic], x)
+    if len(x) < MIN_ROWS_PER_TERM * (columns.shape[1] + further.shape[1] + len(np.unique(series))):
+        return columns
+    kept, basis = [columns], subtract_block_means(columns, series)
+    for column in further.T[:, :, None]:
+        own = subtract_block_means(column, series)
+        left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
+        if np.linalg.norm(left) > MIN_TOLD_SHARE * np.linalg.norm(column):
+            kept.append(column)
+            basis = np.hstack([basis, own])
+    return np.hstack(kept)
 
 
 def without_temperature(run: Run, terms: TemperatureTerms, geometry: Geometry) -> Run:
