@@ -62,7 +62,7 @@ def fit_without_temperature(
         if result.all_trims is None or number == TEMPERATURE_FITS:
             break
         terms = refined_temperature_terms(static, result.all_trims)
-    return _with_reference_errors(result, terms)
+    return _with_reference_errors(result, terms, static)
 
 
 def _stated_temperatures(static: Sequence[Run]) -> tuple[float, float] | None:
@@ -81,25 +81,54 @@ def _note_missing_temperatures(result: Calibration, static: Sequence[Run]) -> Ca
     return replace(result, all_trims=all_trims)
 
 
-def _with_reference_errors(result: Calibration, terms: TemperatureTerms) -> Calibration:
+def _with_reference_errors(result: Calibration, terms: TemperatureTerms, static: Sequence[Run]) -> Calibration:
     """The calibration whose sensitivities have the error of referring them to the reference temperature."""
     trims = {label: _trim_with_errors(trim, terms) for label, trim in result.trims.items()}
     if result.all_trims is None:
         return replace(result, trims=trims)
     model, random = result.all_trims.model, result.all_trims.random_terms
+    effects = _effects_in_rows(result.all_trims, terms, static)
     all_trims = replace(
         result.all_trims,
-        model=_model_with_errors(model, terms),
-        random_terms=None if random is None else _model_with_errors(random, terms),
+        model=_model_with_errors(model, terms, result.all_trims, effects),
+        random_terms=None if random is None else _model_with_errors(random, terms, result.all_trims, effects),
     )
     return replace(result, trims=trims, all_trims=all_trims)
 
 
-def _model_with_errors(model: CalibrationModel, terms: TemperatureTerms) -> CalibrationModel:
-    """The model whose linear coefficients have these errors."""
-    k, added = len(model.components), _of_channels(terms, model.channel_names)
-    covariance = model.covariance.copy()
-    covariance[:, :k, :k] += added * model.calibrated_range[:, None] * model.calibrated_range
+def _effects_in_rows(all_trims: AllTrimsCalibration, terms: TemperatureTerms, static: Sequence[Run]) -> Array:
+    """What each term of temperature is multiplied with in the rows that were fitted (m, 1 + k), less their zeros."""
+    temperature = np.concatenate([each for each in map(run_temperature, static) if each is not None])[all_trims.used]
+    loads = all_trims.loads[all_trims.used]
+    effects = (temperature - terms.reference)[:, None] * np.column_stack([np.ones(len(loads)), loads])
+    return subtract_block_means(effects, _series_of_rows(all_trims))
+
+
+def _series_of_rows(all_trims: AllTrimsCalibration) -> NDArray[np.intp]:
+    """Number (m,) of the load series of the rows that were fitted."""
+    return (all_trims.run if all_trims.load_series is None else all_trims.load_series)[all_trims.used]
+
+
+def _model_with_errors(
+    model: CalibrationModel, terms: TemperatureTerms, all_trims: AllTrimsCalibration, effects: Array
+) -> CalibrationModel:
+    """The model whose coefficients have the errors by which its readings were referred to the reference temperature.
+
+    With the matrix (X'X)^-1 of the fit and the `effects` Z of its rows they are (X'X)^-1 X'Z times those of the terms
+    of temperature. In the linear ones this is by the temperature under each load, as `error_variance` counts the rest.
+    """
+    k, covariance = len(model.components), model.covariance.copy()
+    values = term_values(model.parsed_terms, all_trims.loads[all_trims.used] / model.calibrated_range)
+    products = subtract_block_means(values, _series_of_rows(all_trims)).T @ effects
+    variance = np.maximum(np.diag(model.residual_covariance), np.finfo(float).tiny)
+    for channel, name in enumerate(model.channel_names):
+        if name not in terms.channel_names:
+            continue
+        share = model.covariance[channel] / variance[channel] @ products
+        share[:k] = np.column_stack(
+            [np.zeros(k), np.diag((terms.under_load - terms.reference) * model.calibrated_range)]
+        )
+        covariance[channel] += share @ terms.covariance[terms.channel_names.index(name)] @ share.T
     return replace(model, covariance=covariance)
 
 
@@ -170,7 +199,7 @@ def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibratio
     their standard errors. `runs`: as they were read.
     """
     model, used = all_trims.model, all_trims.used
-    block = all_trims.run if all_trims.load_series is None else all_trims.load_series
+    block = _series_of_rows(all_trims)
     merged = [rows.run for rows in load_point_rows(runs)]
     x = all_trims.loads[used] / model.calibrated_range
     values = term_values(model.parsed_terms, x)
@@ -183,8 +212,8 @@ def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibratio
             np.vstack([read_channels(run, model.channel_names) for run in merged])[used],
             all_trims.loads[used],
             temperature[used],
-            [_with_quadratic_terms(each, x, block[used]) if model.is_nonlinear else each for each in columns],
-            block[used],
+            [_with_quadratic_terms(each, x, block) if model.is_nonlinear else each for each in columns],
+            block,
             np.ones(int(used.sum())),
         )
     )
