@@ -7,7 +7,7 @@ two channels are exchanged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +83,21 @@ def _other_loads(model: CalibrationModel, loads: Array, change: Array, sigma: Ar
             other = loads.copy()
             other[:, [i, j]] = loads[:, [j, i]]
             yield other, f"its loads {model.components[i]} and {model.components[j]} seem to be exchanged"
+    yield from _wrong_load(model, loads)
     yield from _accompanied_loads(model, loads, change / sigma - predicted, sigma)
+
+
+def _wrong_load(model: CalibrationModel, loads: Array) -> Iterator[tuple[Array, str]]:
+    """Loads (r, k) of which one alone of several has the other sign or another unit.
+
+    Other factors are not tried: where loads change in proportion, a share of one in another looks the same.
+    """
+    moved = np.flatnonzero(np.ptp(loads, axis=0) > MIN_OTHER_LOAD * model.calibrated_range)
+    factors = (*UNIT_FACTORS, *(1.0 / known for known in UNIT_FACTORS if known > 0.0))
+    for j, factor in product(moved.tolist() if len(moved) > 1 else [], factors):
+        other = loads.copy()
+        other[:, j] *= factor
+        yield other, factor_words(factor, model.components[j])
 
 
 def _accompanied_loads(
@@ -102,14 +116,16 @@ def _accompanied_loads(
             yield loads + share * extra, f"{cause}, as of another moment center or a load at an angle"
 
 
-def factor_words(factor: float) -> str:
-    """What loads are whose true values are the stated ones times a factor."""
+def factor_words(factor: float, component: str = "") -> str:
+    """What loads, or those of one component, are whose true values are the stated ones times a factor."""
+    its, those = (f"its {component} seems", f"{component} of the other series seems") if component else ("", "")
+    its, those = its or "its loads seem", those or "the loads of the other series seem"
     for known, words in UNIT_FACTORS.items():
         if abs(factor / known - 1.0) < SAME_FACTOR:
-            return f"its loads seem to be {words}, unlike those of the other series"
+            return f"{its} to be {words}, unlike those of the other series"
         if abs(factor * known - 1.0) < SAME_FACTOR and known != -1.0:
-            return f"the loads of the other series seem to be {words}, unlike its own"
+            return f"{those} to be {words}, unlike its own"
     near = {words: abs(np.log(factor / known)) for known, words in UNIT_FACTORS.items() if factor / known > 0.0}
     nearest = min(near, key=lambda words: near[words], default="")
     about = f", about as if {nearest}" if nearest and near[nearest] < NEAR_FACTOR else ""
-    return f"its loads seem to be {factor:.3g} times as large as stated{about}"
+    return f"{its} to be {factor:.3g} times as large as stated{about}"

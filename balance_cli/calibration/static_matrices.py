@@ -60,7 +60,7 @@ class TrimRegression:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class ColumnsFit:
     """Coefficients (p, c) of columns X (m, p), influence (p, m) of rows on them, residuals (m, c), leverage (m,)."""
 
     coefficients: Array
@@ -88,7 +88,7 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
 
     Raises UserError where there are too few rows, or components were only loaded together.
     """
-    offsets = _run_columns(rows)
+    offsets = run_columns(rows)
     r, k = offsets.shape[1], rows.loads.shape[1]
     X = np.hstack([offsets, rows.loads, rows.uncarried_loads])
     tare = repeated_tares(_load_shares(rows))
@@ -96,7 +96,7 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
     if points <= X.shape[1]:
         fault = f"{points} load points for {X.shape[1]} coefficients of each channel"
         raise UserError(fault, remedy="Apply more load points, so that some are left that show an error")
-    fit = _fit_columns(X, rows, (*[""] * r, *components))
+    fit = fit_columns(X, rows, (*[""] * r, *components))
     covariance = (fit.residuals.T * rows.weight) @ fit.residuals / fit.dof
     inner = slice(r, r + k)
     C0 = fit.coefficients[inner].T
@@ -132,12 +132,12 @@ def _load_shares(rows: TrimRows) -> Array:
     return np.asarray(loads / np.where(spread > 0, spread, 1.0))
 
 
-def _run_columns(rows: TrimRows) -> Array:
+def run_columns(rows: TrimRows) -> Array:
     """Indicator columns (m, runs) of the runs, for their offsets."""
     return np.eye(int(rows.run[-1]) + 1)[rows.run]
 
 
-def _fit_columns(X: Array, rows: TrimRows, names: tuple[str, ...] = ()) -> _Fit:
+def fit_columns(X: Array, rows: TrimRows, names: tuple[str, ...] = ()) -> ColumnsFit:
     """Weighted regression of the channels on X (m, p); raises UserError where columns of X are collinear."""
     root = np.sqrt(rows.weight)[:, None]
     scale = np.linalg.norm(root * X, axis=0)
@@ -149,7 +149,7 @@ def _fit_columns(X: Array, rows: TrimRows, names: tuple[str, ...] = ()) -> _Fit:
     influence = (Vt.T / s) @ (root * U).T / np.where(scale > 0, scale, 1.0)[:, None]
     coefficients = influence @ rows.channels
     leverage = np.sum(U**2, axis=1)
-    return _Fit(coefficients, influence, rows.channels - X @ coefficients, leverage, len(X) - X.shape[1])
+    return ColumnsFit(coefficients, influence, rows.channels - X @ coefficients, leverage, len(X) - X.shape[1])
 
 
 def significance(regression: TrimRegression) -> Array:
@@ -222,29 +222,3 @@ def loading_directions(rows: TrimRows) -> Array:
     U = np.zeros_like(steps)
     U[np.arange(len(steps)), moved] = np.where(np.abs(most) > MIN_MOVEMENT, np.sign(most), 0.0)
     return U
-
-
-def hysteresis(rows: TrimRows, T0: Array) -> tuple[Array, Array, Array, Array]:
-    """Estimate the hysteresis: reading while loading less reading while unloading, at the same load.
-
-    Returns the width for each channel (c, k) [V] with its standard error, and as load (k,) [N, N m] with its standard
-    error. The direction of the last load change is one more regressor for each component; its coefficient is half the
-    mean width of the loop. NaN where a component was not both loaded and unloaded.
-    """
-    U = loading_directions(rows)
-    c, k = rows.channels.shape[1], rows.loads.shape[1]
-    both = (np.sum(U > 0, axis=0) >= 2) & (np.sum(U < 0, axis=0) >= 2)
-    width, sigma = np.full((c, k), np.nan), np.full((c, k), np.nan)
-    loads, loads_sigma = np.full(k, np.nan), np.full(k, np.nan)
-    X = np.hstack([_run_columns(rows), rows.loads, rows.uncarried_loads, U[:, both]])
-    if len(X) <= X.shape[1] or not np.any(both):
-        return width, sigma, loads, loads_sigma
-    fit = _fit_columns(X, rows)
-    last = slice(X.shape[1] - int(np.sum(both)), X.shape[1])
-    covariance = 4.0 * fit.covariance(last)
-    width[:, both] = 2.0 * fit.coefficients[last].T
-    sigma[:, both] = standard_errors(covariance)
-    own = T0[both]
-    loads[both] = np.einsum("kc,ck->k", own, width[:, both])
-    loads_sigma[both] = np.sqrt(np.einsum("ki,ikjk,kj->k", own, covariance, own))
-    return width, sigma, loads, loads_sigma

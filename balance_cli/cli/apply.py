@@ -69,6 +69,7 @@ def command(
     from balance_cli.calibration.result import Calibration
     from balance_cli.cli.apply_output import apply_summary, apply_text, apply_warnings, loads_csv, output_units
     from balance_cli.cli.scale_text import scale_evidence_of, scale_text
+    from balance_cli.steps.point_contradictions import flag_contradicted
     from balance_cli.steps.point_loads import move_moment_center
     from balance_cli.steps.point_readings import point_readings, zero_reading
     from balance_cli.steps.point_temperature import point_loads_at_temperature
@@ -84,11 +85,12 @@ def command(
         unloaded = zero_reading(_open(session, Path(zero), result, reading, "zero"))
     readings = [point_readings(table, result, zero == FIRST_ROW) for table in opened]
     loads = [point_loads_at_temperature(rows, result, unloaded, method == NON_ITERATIVE) for rows in readings]
+    loads, contradicted = flag_contradicted(loads, readings, result)
     if moment_center is not None:
         loads = [move_moment_center(run, result.geometry, moment_center) for run in loads]
     columns = output_units(result, opened, load_units)
     session.write_text(output, loads_csv(opened, loads, columns))
-    for note in apply_warnings(loads, opened, result):
+    for note in (*apply_warnings(loads, opened, result), *contradicted):
         session.warn(note)
     summary = {**apply_summary(loads), "scale_evidence": scale_evidence_of(result)}
     session.finish(summary, [*apply_text(loads, columns), *scale_text(result)])

@@ -99,8 +99,9 @@ def _run_summary(run: PointLoads) -> dict[str, Any]:
 def apply_warnings(loads: Sequence[PointLoads], tables: Sequence[LoadTable], calibration: Calibration) -> Iterator[str]:
     """Warnings about absent channels, and about rows in attitudes in which the weight is not known, or none stated."""
     yield from _unstated_attitudes(tables, calibration)
+    tares = None if calibration.all_trims is None else calibration.all_trims.tares
     for run in loads:
-        yield from _attitude_warning(run)
+        yield from _attitude_warning(run) if tares is None else ()
         if run.left_out:
             yield f"{run.run}: channels absent: {', '.join(run.left_out)}; the others determine the loads"
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.hysteresis import estimate_hysteresis
 from balance_cli.calibration.insignificant_loads import MIN_SIGNIFICANCE, explain_insignificance, fit_with_curvature
-from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration, with_rated_loads
+from balance_cli.calibration.result import Calibration, TrimCalibration, with_rated_loads
 from balance_cli.calibration.static_matrices import (
     TrimRegression,
     TrimRows,
     add_variance_floor,
-    hysteresis,
     inverse_matrix,
     inverse_sigma,
     known_lack_of_fit,
@@ -230,7 +230,7 @@ def _trim_calibration(task: TrimTask, rows: TrimRows, regression: TrimRegression
         ),
         residual=_standard_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
         channel_residual=_standard_deviation(regression.residuals, rows.weight, regression.dof),
-        hysteresis=Hysteresis(*hysteresis(rows, T0)),
+        hysteresis=estimate_hysteresis(rows, T0, task.channel_names, task.model),
         condition=condition,
         excluded_channels=task.excluded_channels,
     )

@@ -54,12 +54,15 @@ def weight_covariance(readings: PointReadings, calibration: Calibration, zero: Z
 def rows_of_unknown_weight(
     readings: PointReadings, calibration: Calibration, zero: ZeroReading | None
 ) -> NDArray[np.bool_]:
-    """Rows (n,) in another attitude than their zero, where the calibration did not determine the weight.
+    """Rows (n,) whose weight is not known: in another attitude than their zero, or in none that is stated.
 
-    Without an unloaded row or record the zero has the attitude of the first row.
+    The former where the calibration did not determine the weight; without an unloaded row or record the zero has the
+    attitude of the first row. The latter are all rows without an attitude where it did: they count as level.
     """
-    gravity = readings.gravity
-    if gravity is None or (calibration.all_trims is not None and calibration.all_trims.tares is not None):
+    gravity, all_trims = readings.gravity, calibration.all_trims
+    if all_trims is not None and all_trims.tares is not None:
+        return np.full(len(readings.channels), gravity is None)
+    if gravity is None:
         return np.zeros(len(readings.channels), bool)
     pairs = zip(gravity, _gravity_of_zero(readings, zero, gravity[:1]), strict=True)
     return np.array([not is_one_direction(np.vstack(pair)) for pair in pairs])

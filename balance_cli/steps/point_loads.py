@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.doubted_loads import add_doubted_change
+from balance_cli.calibration.hysteresis import loop_covariance
 from balance_cli.calibration.math_model import CalibrationModel, zero_scatter
 from balance_cli.calibration.noniterative_model import NonIterativeModel
 from balance_cli.calibration.result import Calibration
@@ -106,7 +107,7 @@ def point_loads(
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     if direct is None:
         covariance *= _widening(model) * model.model.weight_widening(model.rows)
-    covariance = covariance + _hysteresis_variance(calibration, model) + weight_covariance(readings, calibration, zero)
+    covariance = covariance + loop_covariance(calibration) + weight_covariance(readings, calibration, zero)
     covariance, doubted = add_doubted_change(calibration.all_trims, safe, covariance)
     loads[~converged], covariance[~converged] = np.nan, np.nan
     tests = RowTests(
@@ -207,22 +208,6 @@ def _load_covariances(
 def _blocks(count: int) -> list[slice]:
     """The rows in blocks of ROWS_AT_ONCE."""
     return [slice(start, start + ROWS_AT_ONCE) for start in range(0, count, ROWS_AT_ONCE)]
-
-
-def _hysteresis_variance(calibration: Calibration, model: _Model) -> Array:
-    """Variance (k, k) [N2, (N m)2] of loads of which nobody knows whether they were reached from above or from below.
-
-    Half of the mean width of the loop in the trim where it is widest, less what noise makes of it. In a calibration the
-    noise of the applied loads has the same pattern, and contains it; the readings of a test do not have that noise.
-    """
-    components = model.model.components
-    variance = np.zeros(len(components))
-    for trim in calibration.trims.values():
-        at = [components.index(name) for name in trim.components if name in components]
-        own = [j for j, name in enumerate(trim.components) if name in components]
-        excess = trim.hysteresis.loads[own] ** 2 - trim.hysteresis.loads_sigma[own] ** 2
-        variance[at] = np.maximum(variance[at], 0.25 * np.maximum(np.nan_to_num(excess), 0.0))
-    return np.diag(variance)
 
 
 def _widening(usable: _Model) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.block_zeros import subtract_block_means
 from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import Calibration, TrimCalibration
@@ -31,8 +32,10 @@ MIN_TEMPERATURE_RANGE = 0.5
 """Range of temperature [K] below which no term is sought: sensors differ by that much from strain gauges."""
 ROWS_PER_TERM = 3
 """Rows for each column from which squares and products stand beside the loads while temperature is estimated."""
-
-
+MIN_ROWS_PER_TERM = 2
+"""The same beside the terms of the calibration model: the scatter is then known to 15 % in a table of 90 rows."""
+MIN_TOLD_SHARE = 0.05
+"""Part of a square or product that zeros and other terms must leave for it to stand beside those of temperature."""
 TEMPERATURE_FITS = 2
 """Fits where temperature matters: the first finds the nonlinear terms, beside which the second has temperature."""
 
@@ -59,7 +62,7 @@ def fit_without_temperature(
         if result.all_trims is None or number == TEMPERATURE_FITS:
             break
         terms = refined_temperature_terms(static, result.all_trims)
-    return _with_reference_errors(result, terms)
+    return _with_reference_errors(result, terms, static)
 
 
 def _stated_temperatures(static: Sequence[Run]) -> tuple[float, float] | None:
@@ -78,25 +81,54 @@ def _note_missing_temperatures(result: Calibration, static: Sequence[Run]) -> Ca
     return replace(result, all_trims=all_trims)
 
 
-def _with_reference_errors(result: Calibration, terms: TemperatureTerms) -> Calibration:
+def _with_reference_errors(result: Calibration, terms: TemperatureTerms, static: Sequence[Run]) -> Calibration:
     """The calibration whose sensitivities have the error of referring them to the reference temperature."""
     trims = {label: _trim_with_errors(trim, terms) for label, trim in result.trims.items()}
     if result.all_trims is None:
         return replace(result, trims=trims)
     model, random = result.all_trims.model, result.all_trims.random_terms
+    effects = _effects_in_rows(result.all_trims, terms, static)
     all_trims = replace(
         result.all_trims,
-        model=_model_with_errors(model, terms),
-        random_terms=None if random is None else _model_with_errors(random, terms),
+        model=_model_with_errors(model, terms, result.all_trims, effects),
+        random_terms=None if random is None else _model_with_errors(random, terms, result.all_trims, effects),
     )
     return replace(result, trims=trims, all_trims=all_trims)
 
 
-def _model_with_errors(model: CalibrationModel, terms: TemperatureTerms) -> CalibrationModel:
-    """The model whose linear coefficients have these errors."""
-    k, added = len(model.components), _of_channels(terms, model.channel_names)
-    covariance = model.covariance.copy()
-    covariance[:, :k, :k] += added * model.calibrated_range[:, None] * model.calibrated_range
+def _effects_in_rows(all_trims: AllTrimsCalibration, terms: TemperatureTerms, static: Sequence[Run]) -> Array:
+    """What each term of temperature is multiplied with in the rows that were fitted (m, 1 + k), less their zeros."""
+    temperature = np.concatenate([each for each in map(run_temperature, static) if each is not None])[all_trims.used]
+    loads = all_trims.loads[all_trims.used]
+    effects = (temperature - terms.reference)[:, None] * np.column_stack([np.ones(len(loads)), loads])
+    return subtract_block_means(effects, _series_of_rows(all_trims))
+
+
+def _series_of_rows(all_trims: AllTrimsCalibration) -> NDArray[np.intp]:
+    """Number (m,) of the load series of the rows that were fitted."""
+    return (all_trims.run if all_trims.load_series is None else all_trims.load_series)[all_trims.used]
+
+
+def _model_with_errors(
+    model: CalibrationModel, terms: TemperatureTerms, all_trims: AllTrimsCalibration, effects: Array
+) -> CalibrationModel:
+    """The model whose coefficients have the errors by which its readings were referred to the reference temperature.
+
+    With the matrix (X'X)^-1 of the fit and the `effects` Z of its rows they are (X'X)^-1 X'Z times those of the terms
+    of temperature. In the linear ones this is by the temperature under each load, as `error_variance` counts the rest.
+    """
+    k, covariance = len(model.components), model.covariance.copy()
+    values = term_values(model.parsed_terms, all_trims.loads[all_trims.used] / model.calibrated_range)
+    products = subtract_block_means(values, _series_of_rows(all_trims)).T @ effects
+    variance = np.maximum(np.diag(model.residual_covariance), np.finfo(float).tiny)
+    for channel, name in enumerate(model.channel_names):
+        if name not in terms.channel_names:
+            continue
+        share = model.covariance[channel] / variance[channel] @ products
+        share[:k] = np.column_stack(
+            [np.zeros(k), np.diag((terms.under_load - terms.reference) * model.calibrated_range)]
+        )
+        covariance[channel] += share @ terms.covariance[terms.channel_names.index(name)] @ share.T
     return replace(model, covariance=covariance)
 
 
@@ -162,12 +194,16 @@ def initial_temperature_terms(runs: Sequence[Run], geometry: Geometry) -> Temper
 def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibration) -> TemperatureTerms:
     """Estimate the terms of temperature beside the terms of the calibration model, from the rows that it fits.
 
-    `runs`: as they were read.
+    Where that is nonlinear, the squares and products that these rows tell stand beside them, too: in a ramp of several
+    loads at one temperature a product that was not significant looks like a drift of the sensitivities, by more than
+    their standard errors. `runs`: as they were read.
     """
     model, used = all_trims.model, all_trims.used
-    block = all_trims.run if all_trims.load_series is None else all_trims.load_series
+    block = _series_of_rows(all_trims)
     merged = [rows.run for rows in load_point_rows(runs)]
-    values = term_values(model.parsed_terms, all_trims.loads[used] / model.calibrated_range)
+    x = all_trims.loads[used] / model.calibrated_range
+    values = term_values(model.parsed_terms, x)
+    columns = [values[:, np.isfinite(column)] for column in model.t.T]
     temperature = np.concatenate([each for each in map(run_temperature, runs) if each is not None])
     return estimate_temperature_terms(
         TemperatureRows(
@@ -176,11 +212,29 @@ def refined_temperature_terms(runs: Sequence[Run], all_trims: AllTrimsCalibratio
             np.vstack([read_channels(run, model.channel_names) for run in merged])[used],
             all_trims.loads[used],
             temperature[used],
-            [values[:, np.isfinite(column)] for column in model.t.T],
-            block[used],
+            [_with_quadratic_terms(each, x, block) if model.is_nonlinear else each for each in columns],
+            block,
             np.ones(int(used.sum())),
         )
     )
+
+
+def _with_quadratic_terms(columns: Array, x: Array, series: NDArray[np.intp]) -> Array:
+    """The columns (m, p) of a channel, with the squares and products of loads x (m, k) that the rows tell beside them.
+
+    The columns alone, where the rows are too few for all of these.
+    """
+    further = term_values([term for term in all_terms(x.shape[1]) if term.is_quadratic], x)
+    if len(x) < MIN_ROWS_PER_TERM * (columns.shape[1] + further.shape[1] + len(np.unique(series))):
+        return columns
+    kept, basis = [columns], subtract_block_means(columns, series)
+    for column in further.T[:, :, None]:
+        own = subtract_block_means(column, series)
+        left = own - basis @ np.linalg.lstsq(basis, own, rcond=None)[0]
+        if np.linalg.norm(left) > MIN_TOLD_SHARE * np.linalg.norm(column):
+            kept.append(column)
+            basis = np.hstack([basis, own])
+    return np.hstack(kept)
 
 
 def without_temperature(run: Run, terms: TemperatureTerms, geometry: Geometry) -> Run:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -24,7 +25,7 @@ Array = NDArray[np.float64]
 class TrimTask:
     """One trim to be calibrated: its rows, usable channels, carried components and their calibrated range (k,).
 
-    `noise` of a row, with that of each run.
+    `noise` of a row, with that of each run; `model`: that which computes the loads, of all trims, where there is one.
     """
 
     label: str
@@ -35,6 +36,7 @@ class TrimTask:
     components: tuple[str, ...]
     calibrated_range: Array
     noise: RowNoise
+    model: CalibrationModel | None = None
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -96,6 +98,7 @@ def fitted_tasks(
             task,
             rows=tuple(rows.exclude_rows(excluded[at[rows.run.name]], series[at[rows.run.name]]) for rows in task.rows),
             calibrated_range=all_trims.model.calibrated_range,
+            model=all_trims.loads_model,
         )
         for label, task in tasks.items()
     }

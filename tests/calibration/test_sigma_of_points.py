@@ -143,3 +143,26 @@ def test_sigma_contains_the_hysteresis_of_the_balance(tmp_path):
         assert _calibrate(tmp_path, x, _readings(x, true, rng) + loop + zeros, series).exit_code == 0
         within.append(np.mean(np.abs(_ratios(tmp_path, true, rng)) < 1.96))
     assert np.mean(within) > 0.93, within
+
+
+def test_curvature_is_no_hysteresis(tmp_path):
+    """In the residuals of a straight line it looked like loops of up to 2 %: sigma was up to 300 times the errors."""
+    rng = np.random.default_rng(402)
+    linear, products = _balance(rng)
+    true = linear, 10.0 * products
+    x = np.vstack([np.zeros(3), rng.uniform(-1, 1, (60, 3)), np.zeros(3)])
+    assert _calibrate(tmp_path, x, _readings(x, true, rng)).exit_code == 0
+    assert np.all(np.sqrt(np.mean(_ratios(tmp_path, true, rng) ** 2, axis=0)) > 0.5)
+
+
+def test_hysteresis_is_found_beside_curvature_in_a_schedule_by_chance(tmp_path):
+    rng = np.random.default_rng(405)
+    linear, products = _balance(rng)
+    true = linear, 10.0 * products
+    x = np.vstack([np.zeros(3), rng.uniform(-1, 1, (60, 3)), np.zeros(3)])
+    loop = 1e-2 * np.sign(np.diff(x, axis=0, prepend=x[:1])) @ linear
+    result = _calibrate(tmp_path, x, _readings(x, true, rng) + loop)
+    widths = re.findall(r"F[xyz] .* (\S+) \+- (\S+)$", result.stdout, re.M)
+    assert len(widths) == 3
+    for width, sigma in np.array(widths, float):
+        assert width > 2.0 * sigma and abs(width - 2.0) < 3.0 * sigma

@@ -3,13 +3,17 @@
 import json
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from balance_cli.calibration.term_choice import choice_of_words
+from balance_cli.calibration.terms import all_terms, linear_terms
 from balance_cli.campaign.recording.additions import TEMPERATURE, MemoryAdditions, RunAdditions
 from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.reduction.wind_off import zero_record
@@ -18,6 +22,7 @@ from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.point_temperature import point_loads_at_temperature
 from balance_cli.steps.point_zeros import PointReadings
 from balance_cli.steps.reduce import reduce_run
+from balance_cli.steps.temperature_correction import refined_temperature_terms
 from tests.support.nonlinear_rig import NAMES, other_flags, other_flags_of_rows, record
 from tests.support.static_runs import AMPLITUDE, C0, RIG, loading
 
@@ -230,3 +235,55 @@ def test_the_page_has_a_row_for_each_channel():
     assert float(table.rows[channel][1].text) == pytest.approx(100 * terms.coefficients[0, channel] / largest, rel=0.01)
     assert table.rows[channel][1].mark == "bad"
     assert not list(temperature_blocks(replace(cal, temperature=None)))
+
+
+def test_products_that_were_not_selected_are_no_drift_of_the_sensitivities():
+    """In ramps of several loads, each at its own temperature, drifts were off by up to 9 of their standard errors."""
+    rng = np.random.default_rng(6)
+    ramp = np.r_[0.0, 0.33, 0.67, 1.0, 0.5]
+    axes = [*np.eye(6), *-np.eye(6), *rng.uniform(-1.0, 1.0, (30, 6))]
+    x, series = np.vstack([np.outer(ramp, axis) for axis in axes]), np.repeat(np.arange(len(axes)), len(ramp))
+    temperature = np.repeat(rng.uniform(15.0, 27.0, len(axes)), len(ramp)) + rng.normal(size=len(x))
+    products = np.stack([x[:, i] * x[:, j] for i in range(6) for j in range(i, 6)], axis=1)
+    channels = 0.05 + readings(x * AMPLITUDE, temperature) + NOISE * rng.normal(size=(len(x), len(NAMES)))
+    channels += products @ (1e-3 * rng.normal(size=(21, len(NAMES)))) * SIGNAL
+    run = Run("s", RIG.rig, "static", NAMES, len(x), MemorySource(channels, x * AMPLITUDE), trim="bare")
+    selected = (*linear_terms(6), next(term for term in all_terms(6) if term.is_quadratic))
+    model = SimpleNamespace(
+        channel_names=NAMES,
+        components=COMPONENTS,
+        parsed_terms=selected,
+        calibrated_range=AMPLITUDE,
+        t=np.ones((7, len(NAMES))),
+        is_nonlinear=True,
+    )
+    used = np.ones(len(x), bool)
+    fitted = SimpleNamespace(model=model, used=used, run=0 * series, load_series=series, loads=x * AMPLITUDE)
+    terms = refined_temperature_terms([with_temperature(run, temperature)], fitted)
+    sigma = np.sqrt(np.diagonal(terms.covariance, axis1=1, axis2=2)).T[1:]
+    # The sensitivities at the reference temperature of the terms drift by as much per kelvin as at any other.
+    z = (terms.coefficients[1:] - DRIFT.T)[sigma > 0.0] / sigma[sigma > 0.0]
+    assert len(z) > 30 and np.sqrt(np.mean(z**2)) < 1.3 and np.abs(z).max() < 4.0
+
+
+def test_coefficients_of_products_contain_the_error_of_the_temperature_terms():
+    """By noise alone their sigma was 1.2 times too small: a ramp of several loads has one temperature."""
+    z = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        ramp = np.r_[0.0, 0.33, 0.67, 1.0, 0.5]
+        axes = [*np.eye(6), *-np.eye(6), *rng.uniform(-1.0, 1.0, (15, 6))]
+        x = np.vstack([np.outer(ramp, axis) for axis in axes])
+        temperature = np.repeat(rng.uniform(15.0, 27.0, len(axes)), len(ramp)) + rng.normal(size=len(x))
+        pairs = [(i, j) for i in range(6) for j in range(i, 6)]
+        products = np.stack([x[:, i] * x[:, j] for i, j in pairs], axis=1)
+        true = 2e-3 * rng.normal(size=(21, len(NAMES))) * SIGNAL
+        channels = 0.05 + readings(x * AMPLITUDE, temperature) + NOISE * rng.normal(size=(len(x), len(NAMES)))
+        run = Run("s", RIG.rig, "static", NAMES, len(x), MemorySource(channels + products @ true, x * AMPLITUDE))
+        model = calibrate([with_temperature(run, temperature)], RIG, choice_of_words("quadratic", 0.01)).all_trims.model
+        for place, term in enumerate(model.parsed_terms[6:], 6):
+            pair = (term.i, term.i if term.single_load else term.j)
+            scale = np.prod((model.calibrated_range / AMPLITUDE)[list(pair)])
+            error = model.coefficients[place] - scale * true[pairs.index(pair)]
+            z += (error / np.sqrt(model.covariance[:, place, place])).tolist()
+    assert np.sqrt(np.mean(np.square(z))) < 1.1

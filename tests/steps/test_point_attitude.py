@@ -70,6 +70,13 @@ def test_attitudes_of_a_table_tell_the_weight_and_take_it_off_the_loads(tmp_path
         errors = np.array([[float(row[key]) for key in row if key.startswith("error_")] for row in table])
         sigma = np.array([[float(row[key]) for key in row if key.startswith("sigma_")] for row in table])
         assert np.all(np.abs(errors) < 4.5 * sigma) and not any("weight" in row["flag"] for row in table)
+    lines = [line.split(",") for line in (tmp_path / "t.csv").read_text().splitlines()]
+    (tmp_path / "n.csv").write_text("\n".join(",".join([*cells[:2], *cells[4:]]) for cells in lines))
+    unstated = invoke("apply", tmp_path / "cal.h5", tmp_path / "n.csv", "-o", tmp_path / "l.csv")
+    assert (
+        "n.csv states no attitude and counts as level" in unstated.stderr and "another attitude" not in unstated.stderr
+    )
+    assert all("no weight" in row["flag"] for row in rows_of(tmp_path / "l.csv"))
     plain = invoke("apply", tmp_path / "level.h5", tmp_path / "t.csv", "-o", tmp_path / "l.csv")
     flags = [row["flag"] for row in rows_of(tmp_path / "l.csv")]
     assert "3 of 5 rows were read in another attitude than their zero" in plain.stderr

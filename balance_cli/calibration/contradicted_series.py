@@ -1,0 +1,155 @@
+"""Load series that all others contradict: these agree with each other without it, and it is far off their prediction.
+
+Where every series varies all loads, as in a schedule by chance, a wrong sign of one load, another unit or two exchanged
+channels in a single series spoil the fit of all rows. Each of them then looks wrong, and neither robust fits nor the
+gains of single series tell which one is. Series are therefore left out, one by one or two at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.all_trims_result import SuspectLoadSeries
+from balance_cli.calibration.block_zeros import subtract_block_means, subtract_mean
+from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
+from balance_cli.calibration.least_squares import CollinearError
+from balance_cli.calibration.load_series import describe_load_series
+from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.series_causes import series_cause
+from balance_cli.calibration.term_choice import TermChoice
+from balance_cli.calibration.terms import all_terms, linear_terms, term_values
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+MIN_SERIES = 4
+"""Load series of which one may be left out: three that agree with each other are a majority."""
+MIN_SERIES_OF_TWO, MAX_SERIES_OF_TWO = 7, 24
+"""The same for two, and up to which all pairs are tried: five that agree, and 276 linear fits at the most."""
+CLEAR_RATIO = 3.0
+"""Least misfit without any other series over that without the wrong one: of eight series, each takes 6 % of it away."""
+MIN_ERROR_SHARE = 0.05
+"""Error of the rows of a wrong series, in the worst channel, over the range of that channel. Smaller ones are gain
+errors, for which series are compared with the terms of the model."""
+MIN_WRONG_ROWS, MIN_WRONG_SHARE = 3, 0.25
+"""Rows of a wrong series with such errors, and their share: two are exchanged rows, and of loads by chance some are
+small."""
+MIN_ERROR_RATIO = 10.0
+"""The same over the standard error of its prediction: what a straight line misses is no error of one series."""
+MIN_DOF = 6
+"""Degrees of freedom of the others by which their misfit is known to 30 %; as many as columns at the least."""
+LEAST_PREDICTED = 0.05
+"""Singular value over the largest, of loads and products over their ranges, from which the others tell all of them."""
+
+
+def contradicted_series(points: CalibrationPoints, choice: TermChoice) -> tuple[Mask, ...]:
+    """Return the rows (m,) of each load series that all others contradict; none where terms of the model explain it.
+
+    Straight lines tell most; where a balance curves as much as a series errs, squares and products do, in long tables.
+    """
+    used = points.weight > 0
+    names = np.unique(points.load_series[used]).tolist()
+    sizes = [1] * (len(names) >= MIN_SERIES) + [2] * (MIN_SERIES_OF_TWO <= len(names) <= MAX_SERIES_OF_TWO)
+    k = len(points.components)
+    for terms in (linear_terms(k), (*linear_terms(k), *(term for term in all_terms(k) if term.is_quadratic))):
+        columns = term_values(terms, points.x)
+        for size in sizes:
+            found, misfit = _clearly_best(points, columns, combinations(names, size))
+            rows = tuple(used & (points.load_series == name) for name in found)
+            if rows and all(_is_far_off(points, columns, each, rows, misfit) for each in rows):
+                return () if _is_explained(points, choice, misfit) else rows
+    return ()
+
+
+def _clearly_best(
+    points: CalibrationPoints, columns: Array, sets: Iterable[tuple[int, ...]]
+) -> tuple[tuple[int, ...], float]:
+    """The set of load series without which the others agree far better than without any other set, and that misfit."""
+    used = points.weight > 0
+    misfit = {each: _misfit(points, columns, used & ~np.isin(points.load_series, each)) for each in sets}
+    known = sorted((value, left_out) for left_out, value in misfit.items() if np.isfinite(value))
+    # Where most series are needed to tell some load, there are no others that could agree.
+    if len(known) < 2 or 2 * len(known) <= len(misfit):
+        return (), np.inf
+    return (known[0][1] if known[1][0] >= CLEAR_RATIO * known[0][0] else ()), known[0][0]
+
+
+def _misfit(points: CalibrationPoints, columns: Array, rows: Mask) -> float:
+    """Rms of what a fit of columns (m, p) leaves in some rows (m,), over the ranges of the channels; inf with few."""
+    x, y, series = _centered(points, columns, rows)
+    dof = len(x) - len(np.unique(series)) - x.shape[1]
+    if dof < max(MIN_DOF, x.shape[1]):
+        return np.inf
+    coefficients, _, _, singular = np.linalg.lstsq(x, y, rcond=None)
+    if singular[-1] < LEAST_PREDICTED * singular[0]:
+        return np.inf
+    return float(np.sqrt(np.sum((y - x @ coefficients) ** 2) / (dof * y.shape[1])))
+
+
+def _is_far_off(points: CalibrationPoints, columns: Array, rows: Mask, left_out: Iterable[Mask], misfit: float) -> bool:
+    """Whether several of some rows (m,) are far from what the rows not left out predict."""
+    x, y, _ = _centered(points, columns, (points.weight > 0) & ~np.any(list(left_out), axis=0))
+    own = columns[rows] - np.median(columns[rows], axis=0)
+    errors = points.channels[rows] / _ranges(points) - own @ np.linalg.lstsq(x, y, rcond=None)[0]
+    errors -= np.median(errors, axis=0)
+    sigma = misfit * np.sqrt(1.0 + np.sum(own * np.linalg.solve(x.T @ x, own.T).T, axis=1))
+    largest, needed = np.max(np.abs(errors), axis=1), max(MIN_WRONG_ROWS, int(np.ceil(MIN_WRONG_SHARE * len(own))))
+    return int(np.sum((largest > MIN_ERROR_SHARE) & (largest > MIN_ERROR_RATIO * sigma))) >= needed
+
+
+def _is_explained(points: CalibrationPoints, choice: TermChoice, misfit: float) -> bool:
+    """Whether the terms of the model, fitted to all series, leave about as little as a line does to the others."""
+    try:
+        residuals = fit_calibration_model(points, choice).residuals
+    except CollinearError:
+        return False
+    return float(np.sqrt(np.nanmean((residuals / _ranges(points)) ** 2))) < CLEAR_RATIO * misfit
+
+
+def _ranges(points: CalibrationPoints) -> Array:
+    """Range (c,) of the readings of each channel."""
+    spread = np.ptp(points.channels[points.weight > 0], axis=0)
+    return np.where(spread > 0.0, spread, 1.0)
+
+
+def _centered(points: CalibrationPoints, columns: Array, rows: Mask) -> tuple[Array, Array, Index]:
+    """Columns and readings over their ranges of some rows (m,), less their means in each load series, and these."""
+    series = points.load_series[rows]
+    if not len(series):
+        return columns[rows], points.channels[rows], series
+    readings = points.channels[rows] / _ranges(points)
+    return subtract_block_means(columns[rows], series), subtract_block_means(readings, series), series
+
+
+def describe_contradicted_series(
+    model: CalibrationModel, points: CalibrationPoints, left_out: Iterable[Mask]
+) -> tuple[SuspectLoadSeries, ...]:
+    """Return the deviating channels of each load series, of rows (m,), and the mistake, by a model without them."""
+    return tuple(suspect for rows in left_out for suspect in _deviating_channels(model, points, rows))
+
+
+def _deviating_channels(model: CalibrationModel, points: CalibrationPoints, rows: Mask) -> list[SuspectLoadSeries]:
+    change, expected = subtract_mean(points.channels[rows]), subtract_mean(model.readings(points.loads[rows]))
+    power = np.maximum(np.sum(expected**2, axis=0), np.finfo(float).tiny)
+    gain = np.sum(change * expected, axis=0) / power
+    sigma = np.sqrt(np.mean((change - gain * expected) ** 2, axis=0) / power)
+    largest = np.max(np.abs(change - expected), axis=0) / _ranges(points)
+    deviating = np.flatnonzero(largest > min(MIN_ERROR_SHARE, float(largest.max())))
+    words, cause = _words(points, rows), series_cause(model, points, rows)
+    names = points.channel_names
+    return [
+        SuspectLoadSeries(words, names[c], float(gain[c]), float(sigma[c]), "", cause=cause)
+        for c in (deviating if len(deviating) else [int(np.argmax(largest))])
+    ]
+
+
+def _words(points: CalibrationPoints, rows: Mask) -> str:
+    """The load series of some rows (m,) in words."""
+    at = np.flatnonzero(rows)
+    begin = int(np.flatnonzero(points.run == points.run[at[0]])[0])
+    return describe_load_series(at - begin, points.run_names[points.run[at[0]]], points.components, points.x[begin:])
