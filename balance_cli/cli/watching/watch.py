@@ -117,6 +117,7 @@ class Watch:
         identity = (now, path.name, stamp.size, stamp.modified, self._inputs_digest())
         try:
             loads, warnings = self.quick_look.add_file(path)
+            verdict, numbers = run_verdict(loads).sentence, self.quick_look.summarize(loads)
         except NoRotorLoadsError as other:
             entry = JournalEntry(*identity, LEFT_OUT, other.run, other.kind, reason=str(other))
         except UserError as error:
@@ -129,10 +130,10 @@ class Watch:
         else:
             entry = replace(
                 JournalEntry(*identity, REDUCED, loads.run, loads.kind),
-                verdict=run_verdict(loads).sentence,
+                verdict=verdict,
                 flags=loads.flag_counts,
                 warnings=warnings,
-                loads=self.quick_look.summarize(loads),
+                loads=numbers,
             )
         self.results[path.name] = entry.result
         self._show(entry)
