@@ -39,9 +39,9 @@ heavy tails count. Its value for a normal variable of unit variance, and the eff
 
 @dataclass(frozen=True)
 class LoadTrend:
-    """Change of a quantity of a component with an attribute; the slope is NaN where that does not vary by more than SAME_VALUE.
+    """Change of a quantity of a component with an attribute; the slope is NaN where that does not vary.
 
-    `scatter` is the rms about the line over that of the stated sigmas.
+    Differences up to SAME_VALUE do not count. `scatter` is the rms about the line over that of the stated sigmas.
     """
 
     component: str

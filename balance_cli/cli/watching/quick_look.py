@@ -22,6 +22,7 @@ from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.steps.reduction_inputs import (
     default_harmonics,
+    fewer_harmonics_warning,
     harmonics_within_band,
     loaded_zero_warning,
     zero_reference,
@@ -155,5 +156,5 @@ class QuickLook:
         wanted = default_harmonics(self.reduction.geometry)
         harmonics = harmonics_within_band(run, self.reduction.source, wanted)
         if harmonics < wanted:
-            self.session.warn(f"{run.name}: {harmonics} harmonics in place of {wanted}: its band ends there")
+            self.session.warn(fewer_harmonics_warning(run.name, harmonics, wanted))
         return replace(reduction, method=replace(reduction.method, harmonics=harmonics))
