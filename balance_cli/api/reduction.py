@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from balance_cli.api.arguments import Range, check_arguments
@@ -95,21 +96,17 @@ def reduce(
     reference, loaded = (None, "") if calibration is None else _zero(zeros, calibration, used)
     if method != "harmonic" and rotor != 1:
         raise UserError("does not go with a method in time", "rotor", remedy="Use method `harmonic`")
-    wanted = harmonics or default_harmonics(geometry)
-    possible = [harmonics or harmonics_within_band(run, source, wanted, rotor) for run in used]
-    fewer = [fewer_harmonics_warning(run.name, n, wanted) for run, n in zip(used, possible, strict=True) if n < wanted]
-    options = [
-        ReduceOptions(n, rotor) if method == "harmonic" else TimeOptions(method == "smoother", load_model, lag, n)
-        for n in possible
-    ]
+    in_time = TimeOptions(method == "smoother", load_model, lag)
+    options = ReduceOptions(rotor=rotor) if method == "harmonic" else in_time
+    counts = _harmonics(used, geometry, source, rotor, harmonics)
     loads = [
-        _reduce_run(run, geometry, calibration, source, reference, each)
-        for run, each in zip(used, options, strict=True)
+        _reduce_run(run, geometry, calibration, source, reference, replace(options, harmonics=counts[run.name]))
+        for run in used
     ]
     flagged = flag_contradicted_runs({run.run: run for run in loads}, findings)
     reduced, compared = compare_loads(flagged, calibration)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
-    said = (*earlier, *fewer, *filter(None, [loaded]), *compared)
+    said = (*earlier, *_fewer(counts, geometry, harmonics), *filter(None, [loaded]), *compared)
     warnings = sorted({*said, *_warnings(findings, records, loads, source)})
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
 
@@ -135,6 +132,21 @@ def _reduce_run(
         return reduce_run(run, geometry, calibration, source, zero, options)
     except UserError as error:
         raise error.with_file_of(run.name, run.file) from error
+
+
+def _harmonics(
+    runs: Sequence[Run], geometry: Geometry, source: ResponseSource, rotor: int, given: int | None
+) -> dict[str, int]:
+    """Return the harmonics of each run by name: those given, or those of the default that it permits."""
+    wanted = default_harmonics(geometry)
+    return {run.name: given or harmonics_within_band(run, source, wanted, rotor) for run in runs}
+
+
+def _fewer(counts: dict[str, int], geometry: Geometry, given: int | None) -> Iterator[str]:
+    """Yield a warning for each run with fewer harmonics than are the default."""
+    wanted = default_harmonics(geometry)
+    if given is None:
+        yield from (fewer_harmonics_warning(name, n, wanted) for name, n in counts.items() if n < wanted)
 
 
 def _warnings(
