@@ -87,8 +87,7 @@ def reduce(
     records = to_runs(runs, geometry)
     zeros = to_runs(zero, geometry) if zero is not None else [run for run in records if run.kind == "zero"]
     source = response_source(calibration, response, interpolation)
-    declared = geometry if isinstance(response, str) else response.geometry
-    at_rest = compare_static_response(calibration, source, declared)
+    at_rest = compare_static_response(calibration, source, geometry if isinstance(response, str) else response.geometry)
     findings = (*at_rest, *cross_check(geometry, records, known_anyway, _noise_of_sweeps(response)))
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
