@@ -8,6 +8,7 @@ square of the load within it. They contain the noise of the channels, whose part
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,9 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.band_steadiness import band_steadiness, statistical_width
 from balance_cli.reduction.flags import MODEL_CONTRADICTED, REDUNDANCY, UNRESOLVED, UNTESTED, join_flags
-from balance_cli.reduction.measured_response import highest_frequency
-from balance_cli.reduction.resolved_spectra import ResolvedSpectra, resolved_spectra
+from balance_cli.reduction.resolved_spectra import ResolvedSpectra, require_band, resolved_spectra
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     at_rotor_speed,
@@ -49,8 +50,6 @@ TRANSIENT_SHARE = 0.25
 """Largest share of the record that is left out at its start."""
 TESTED_FREQUENCIES = 32
 """Over a band, at which is examined whether a component rests on one sensor: one does at all of them."""
-BELOW_NYQUIST = 0.9
-"""Of half the sample rate: the highest frequency of a spectrum."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +73,21 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     health = usable_channels(run, geometry, source)
     run = source.remove_nonlinear_contribution(run, health.live)
     first = _first_sample(run, source)
-    _require_band(run, source, band)
+    require_band(run, source, band)
     resolved, has_loads = resolved_spectra(run, source, health, first, band), run.has_loads and run.kind == "check"
     spectra = resolved.spectra
     components = carried_components(geometry)
     clean = CleanRecord(run, health.live, ((first, run.samples),))
-    inversion = _invert(run, geometry, source, health, spectra.frequency, channel_noise(clean, geometry.acquisition))
+    noise = channel_noise(clean, geometry.acquisition)
+    inversion = _invert(run, geometry, source, health, spectra.frequency, noise)
     density = _densities(run, source, health, inversion, resolved, components)
     is_redundant = inversion.T.shape[1] > len(components) and sensor_count(geometry, health.live) > len(components)
     words = ["" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else ""]
     words += [] if resolved.is_resolved else [UNRESOLVED]
     rejected = density.redundancy > density.limit
+    width = statistical_width(density.power, resolved.average(spectra.frequency))
+    inverse = partial(_load_matrix, run, geometry, source, health, noise)
+    steadiness = band_steadiness(run, health.live, components, first, band, width, resolved.decay, inverse)
     return RunSpectra(
         run=run.name,
         kind=run.kind,
@@ -106,6 +109,8 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         untested=_rest_on_one_sensor(inversion, density, resolved.bins, health, geometry, components)
         if is_redundant
         else None,
+        not_steady=steadiness.unsteady or None,
+        steadiness_note=steadiness.note or None,
     )
 
 
@@ -180,14 +185,6 @@ def _first_sample(run: Run, source: ResponseSource) -> int:
     return int(min(transient, TRANSIENT_SHARE * run.samples))
 
 
-def _require_band(run: Run, source: ResponseSource, band: tuple[float, float]) -> None:
-    """Raise UserError where the record or the response ends below the band."""
-    highest = min(BELOW_NYQUIST * sample_rate(run) / 2.0, highest_frequency(source))
-    if band[1] > highest:
-        fault = f"{band[1]:g} Hz is beyond what the record and the response hold, {highest:.5g} Hz"
-        raise UserError(fault, run.file, "--band", "Give a lower end")
-
-
 def _invert(
     run: Run, geometry: Geometry, source: ResponseSource, health: ChannelHealth, frequency: Array, variance: Array
 ) -> _Inversion:
@@ -205,6 +202,14 @@ def _invert(
     weighted = np.asarray(np.linalg.solve(noise, T), complex)
     G = np.asarray(np.linalg.solve(_adjoint(T) @ weighted, _adjoint(weighted)), complex)
     return _Inversion(chosen.rows, combination, T, G, np.asarray(noise, complex))
+
+
+def _load_matrix(
+    run: Run, geometry: Geometry, source: ResponseSource, health: ChannelHealth, noise: Array, frequency: Array
+) -> ComplexArray:
+    """Return the matrices (k, m, c) from channels to loads at frequencies (k,)."""
+    inversion = _invert(run, geometry, source, health, frequency, noise)
+    return np.asarray(inversion.G @ inversion.combination)
 
 
 def _response_covariance(
