@@ -77,17 +77,13 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     resolved, has_loads = resolved_spectra(run, source, health, first, band), run.has_loads and run.kind == "check"
     spectra = resolved.spectra
     components = carried_components(geometry)
-    clean = CleanRecord(run, health.live, ((first, run.samples),))
-    noise = channel_noise(clean, geometry.acquisition)
+    noise = channel_noise(CleanRecord(run, health.live, ((first, run.samples),)), geometry.acquisition)
     inversion = _invert(run, geometry, source, health, spectra.frequency, noise)
     density = _densities(run, source, health, inversion, resolved, components)
     is_redundant = inversion.T.shape[1] > len(components) and sensor_count(geometry, health.live) > len(components)
-    words = ["" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else ""]
-    words += [] if resolved.is_resolved else [UNRESOLVED]
-    rejected = density.redundancy > density.limit
     width = statistical_width(density.power, resolved.average(spectra.frequency))
     inverse = partial(_load_matrix, run, geometry, source, health, noise)
-    steadiness = band_steadiness(run, health.live, components, first, band, width, resolved.decay, inverse)
+    level = band_steadiness(run, health.live, components, first, band, width, resolved.decay, inverse)
     return RunSpectra(
         run=run.name,
         kind=run.kind,
@@ -100,7 +96,7 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         noise=2.0 * density.noise,
         redundancy=density.redundancy,
         redundancy_limit=density.limit,
-        flags=tuple(join_flags((*words, REDUNDANCY if bad else "")) for bad in rejected),
+        flags=_flags(density, is_redundant, source.is_contradicted, resolved.is_resolved),
         resolution_hz=resolved.bandwidth,
         averages=float(np.median(resolved.averages)),
         interval=(first / sample_rate(run), run.samples / sample_rate(run)),
@@ -109,9 +105,17 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         untested=_rest_on_one_sensor(inversion, density, resolved.bins, health, geometry, components)
         if is_redundant
         else None,
-        not_steady=steadiness.unsteady or None,
-        steadiness_note=steadiness.note or None,
+        not_steady=level.unsteady or None,
+        steadiness_note=level.note or None,
     )
+
+
+def _flags(density: _Densities, is_redundant: bool, is_contradicted: bool, is_resolved: bool) -> tuple[str, ...]:
+    """Return the flags (k,) of the frequencies."""
+    words = ["" if is_redundant else UNTESTED, MODEL_CONTRADICTED if is_contradicted else ""]
+    words += [] if is_resolved else [UNRESOLVED]
+    rejected = density.redundancy > density.limit
+    return tuple(join_flags((*words, REDUNDANCY if bad else "")) for bad in rejected)
 
 
 def _rest_on_one_sensor(
