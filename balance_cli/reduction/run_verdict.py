@@ -39,7 +39,10 @@ MEANINGS = {
     NOT_STEADY: "loads step or drift within the record",
     UNMODELLED_LINE: "the channels have a line beside these harmonics, or one above the highest",
     FILTER_CONTRADICTED: "the innovations contradict the filter",
-    MODEL_CONTRADICTED: "the response misses its own data, or known loads, by more than a tenth of the load",
+    MODEL_CONTRADICTED: (
+        "the response misses its own data, or known loads, by more than a tenth of the load, or channels or loads are "
+        "not as in other runs: the notes say which"
+    ),
     UNRESOLVED: "the record is too short to resolve a mode of the balance",
 }
 """What each flag says of the rows of a run."""
