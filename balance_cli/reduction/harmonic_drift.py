@@ -51,8 +51,10 @@ def step_remainder(values: ComplexArray, reported: ComplexArray, limit: float) -
 def common_drift(values: ComplexArray) -> float:
     """Return half of the relative change that all loads of windows (w, n, m) have in common; 0 where it may be chance.
 
-    As of a mean load, nobody knows whether what is sought is the load before or after.
+    As of a mean load, nobody knows whether what is sought is the load before or after. Fewer than six loads tell none.
     """
+    if values[0].size < FEWEST_HARMONICS:
+        return 0.0
     changes = relative_changes(values.reshape(len(values), -1, 1))
     gain = changes.series[:, 0, 0]
     # Modes that outlast a window correlate the noise of one harmonic; of several at once, none does.

@@ -38,6 +38,11 @@ def test_steady_loads_have_no_error_of_a_change():
         assert not harmonic_drift(values, values.mean(axis=0), sigma).any()
 
 
+def test_few_loads_tell_no_common_change():
+    gain = 0.05 * np.linspace(0.0, 1.0, WINDOWS)
+    assert common_drift(windows(np.random.default_rng(5), gain)[:, :1, :2]) == 0.0
+
+
 def test_what_a_few_windows_change_is_uncertain():
     values = windows(np.random.default_rng(3))
     values[37:, 0, 2] += 2.0
