@@ -51,6 +51,8 @@ SLOW_MODE_CORRELATION = 0.9
 of windows, too, which average faster modes out."""
 SAID_CHANGE = 0.01
 """Factor less one, or turn [rad], from which a change of all harmonics is described by it."""
+TONE_QUESTION = "is the tone at the given frequency, or were samples lost?"
+"""What a turn of all loads at a given frequency asks: no azimuth tells where the tone is."""
 AVERAGED_PERIODS = 2.0
 """Periods of a mode in a window that leave less than a sixth of its amplitude in the mean, 1 over 2 pi."""
 STEADY_SPEED = 2e-3
@@ -148,12 +150,13 @@ def _change_of_all(
     if change is None:
         change, whose = _change_of_channel(windows, start)
     if change is not None:
-        return _explain(change, time_of(change.window), whose)
+        return _explain(change, time_of(change.window), whose, record.fixed_frequency)
     alone = _channel_alone(windows, start, record, geometry)
     if alone is None:
         return ""
     whose = "" if alone.column is None else f" of {windows.names[alone.column]}"
-    return f"from {time_of(alone.window):.3g} s on all harmonics{whose} {alone.description}: {alone.question}"
+    question = TONE_QUESTION if record.fixed_frequency and alone.column is None else alone.question
+    return f"from {time_of(alone.window):.3g} s on all harmonics{whose} {alone.description}: {question}"
 
 
 def _channel_alone(
@@ -181,8 +184,11 @@ def _change_of_channel(windows: WindowedAmplitudes, start: int) -> tuple[CommonC
     return None, ""
 
 
-def _explain(change: CommonChange, time: float, whose: str) -> str:
-    """Say what all harmonics, or those of one channel, do from a time [s] on, and what may have made them."""
+def _explain(change: CommonChange, time: float, whose: str, is_tone: bool) -> str:
+    """Say what all harmonics, or those of one channel, do from a time [s] on, and what may have made them.
+
+    A tone has no azimuth that could slip.
+    """
     turn = np.degrees(change.turn)
     parts = [
         f"have {change.factor:.3g} times their size" if abs(change.factor - 1.0) > SAID_CHANGE else "",
@@ -190,7 +196,7 @@ def _explain(change: CommonChange, time: float, whose: str) -> str:
     ]
     reasons = "was a gain switched, or did a cable come off?" if parts[0] else ""
     if parts[1]:
-        reasons = "did the azimuth slip, or were samples lost?"
+        reasons = TONE_QUESTION if is_tone else "did the azimuth slip, or were samples lost?"
     return f"from {time:.3g} s on all harmonics{whose} {' and '.join(filter(None, parts))}: {reasons}"
 
 
