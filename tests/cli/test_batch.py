@@ -124,6 +124,11 @@ def test_each_run_has_the_harmonics_that_it_permits(folder, tmp_path):
     rows = (tmp_path / "all.csv").read_text().splitlines()
     assert len(rows) == 1 + 6 * (9 + 8)
     assert (tmp_path / "alone.csv").read_text().splitlines()[1:] == [row for row in rows if "wind-00000" in row]
+    shards = [tmp_path / f"{i}.h5" for i in (1, 2)]
+    for i, shard in enumerate(shards, 1):
+        assert reduce(folder, shard, "--shard", f"{i}/2", runs=[sound, coarse]).exit_code == 0
+    words = ["merge", *map(str, shards), "-o", str(tmp_path / "merged.h5")]
+    assert CliRunner().invoke(balance, words).exit_code == 0
 
 
 def test_whoever_expects_bad_runs_gets_status_zero(folder, with_bad, tmp_path):
