@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import TrimCalibration
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.free_decays import rig_eigenvalues
-from balance_cli.reduction.harmonic_drift import harmonic_drift
+from balance_cli.reduction.harmonic_loads import window_harmonic_loads, window_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
-from balance_cli.reduction.window_loads import window_harmonic_loads, window_mean_loads
-from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change
+from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change, harmonic_drift
 from balance_cli.signals.rotor.common_change import CommonChange, changes_of_columns, common_change
 from balance_cli.signals.rotor.steadiness import (
     WindowedAmplitudes,

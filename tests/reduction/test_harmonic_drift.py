@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.reduction.harmonic_drift import common_drift, harmonic_drift
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.signals.rotor.channel_change import common_drift, harmonic_drift
 from balance_cli.steps.reduce import reduce_run
 
 WINDOWS, NOISE = 40, 0.03
