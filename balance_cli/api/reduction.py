@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from balance_cli.api.arguments import Range, check_arguments
@@ -33,6 +34,7 @@ from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.steps.reduction_inputs import (
     compared_zero,
     default_harmonics,
+    fewer_harmonics_warning,
     harmonics_within_band,
     loads_with_filter_tests,
     require_same_geometry,
@@ -59,7 +61,8 @@ def reduce(
     """Reduce check and wind runs to hub loads at the rotor harmonics, as `balance reduce` does.
 
     Without a `calibration` (None) the mean loads are not measured. `harmonics` is by default a multiple of the blades,
-    of `rotor` 1, 2 and so on (method `harmonic`); the lines of further rotors are taken out.
+    less where the band of a run ends below it, of `rotor` 1, 2 and so on (method `harmonic`); the lines of further
+    rotors are taken out.
     `response` is an identified model, measured responses, or `"static"` for the static matrix at every harmonic (no
     dynamics removed). A `zero` run among `runs`, or given, is subtracted from the mean loads. `interpolation` is for
     measured responses; `load_model` and `lag` [s] are for the methods in time, which need a model of the physical form.
@@ -84,24 +87,25 @@ def reduce(
     records = to_runs(runs, geometry)
     zeros = to_runs(zero, geometry) if zero is not None else [run for run in records if run.kind == "zero"]
     source = response_source(calibration, response, interpolation)
-    declared = geometry if isinstance(response, str) else response.geometry
-    at_rest = compare_static_response(calibration, source, declared)
+    at_rest = compare_static_response(calibration, source, geometry if isinstance(response, str) else response.geometry)
     findings = (*at_rest, *cross_check(geometry, records, known_anyway, _noise_of_sweeps(response)))
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")
-    (reference, loaded), fewer = (None, "") if calibration is None else _zero(zeros, calibration, used), ""
-    if harmonics is None:
-        harmonics, fewer = _harmonics(used, geometry, source, rotor)
+    reference, loaded = (None, "") if calibration is None else _zero(zeros, calibration, used)
     if method != "harmonic" and rotor != 1:
         raise UserError("does not go with a method in time", "rotor", remedy="Use method `harmonic`")
-    in_time = TimeOptions(method == "smoother", load_model, lag, harmonics)
-    options = ReduceOptions(harmonics, rotor) if method == "harmonic" else in_time
-    loads = [_reduce_run(run, geometry, calibration, source, reference, options) for run in used]
+    in_time = TimeOptions(method == "smoother", load_model, lag)
+    options = ReduceOptions(rotor=rotor) if method == "harmonic" else in_time
+    counts = _harmonics(used, geometry, source, rotor, harmonics)
+    loads = [
+        _reduce_run(run, geometry, calibration, source, reference, replace(options, harmonics=counts[run.name]))
+        for run in used
+    ]
     flagged = flag_contradicted_runs({run.run: run for run in loads}, findings)
     reduced, compared = compare_loads(flagged, calibration)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
-    said = (*earlier, *filter(None, [fewer, loaded]), *compared)
+    said = (*earlier, *_fewer(counts, geometry, harmonics), *filter(None, [loaded]), *compared)
     warnings = sorted({*said, *_warnings(findings, records, loads, source)})
     return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
 
@@ -129,13 +133,19 @@ def _reduce_run(
         raise error.with_file_of(run.name, run.file) from error
 
 
-def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, rotor: int) -> tuple[int, str]:
-    """Return the harmonics that all runs permit of those that are the default, and a warning where they are fewer."""
+def _harmonics(
+    runs: Sequence[Run], geometry: Geometry, source: ResponseSource, rotor: int, given: int | None
+) -> dict[str, int]:
+    """Return the harmonics of each run by name: those given, or those of the default that it permits."""
     wanted = default_harmonics(geometry)
-    possible = {run.name: harmonics_within_band(run, source, wanted, rotor) for run in runs}
-    name = min(possible, key=lambda name: possible[name])
-    text = f"{possible[name]} harmonics in place of {wanted}: those above are beyond the band of run {name}"
-    return possible[name], text if possible[name] < wanted else ""
+    return {run.name: given or harmonics_within_band(run, source, wanted, rotor) for run in runs}
+
+
+def _fewer(counts: dict[str, int], geometry: Geometry, given: int | None) -> Iterator[str]:
+    """Yield a warning for each run with fewer harmonics than are the default."""
+    wanted = default_harmonics(geometry)
+    if given is None:
+        yield from (fewer_harmonics_warning(name, n, wanted) for name, n in counts.items() if n < wanted)
 
 
 def _warnings(

@@ -88,8 +88,12 @@ class Messages:
 
     def report_left_out(self, name: str, reason: str) -> None:
         """Report that a run (or channel) was read but not used, and why."""
-        self._left_out[name] = reason
+        self.record_left_out(name, reason)
         self._report_of_run(name, f"{name} left out: {reason}")
+
+    def record_left_out(self, name: str, reason: str) -> None:
+        """Record for the summary that a run has no results of its own, of which nobody needs to be warned."""
+        self._left_out[name] = reason
 
     def _report_of_run(self, run: str, text: str) -> None:
         if self._gathered is None:

@@ -110,6 +110,12 @@ class Reduction:
     compare_runs: bool = False
     usual_noise: tuple[UsualNoise, ...] = ()
 
+    def with_harmonics(self, harmonics: int) -> Reduction:
+        """Return the reduction to so many harmonics of the rotor, where the call does not say how many."""
+        if self.method.harmonics or self.method.frequencies:
+            return self
+        return replace(self, method=replace(self.method, harmonics=harmonics))
+
     def reduce_run(self, run: Run, history_file: Path | None = None) -> RunLoads:
         """Reduce one run and write its history, if a file is given. UserError where it cannot be reduced."""
         with ExitStack() as stack:

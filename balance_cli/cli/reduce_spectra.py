@@ -89,6 +89,8 @@ def _run_summary(run: RunSpectra) -> dict[str, Any]:
         "channels_left_out": run.left_out,
         "trust": run.trust,
         "load_error": run.load_error,
+        "not_steady": run.not_steady or (),
+        "steadiness_note": run.steadiness_note,
     }
 
 
@@ -105,5 +107,7 @@ def spectra_text(spectra: LoadSpectra) -> Iterator[str]:
         for component, (value, sigma) in run.band_rms.items():
             shown, spread = number_pair(value, sigma)
             yield f"   {f'{component} {UNIT_OF[component]}':8}{shown:>12} {spread:>9} {run.peak_hz[component]:>9.4g} Hz"
+        if run.steadiness_note is not None:
+            yield f"   {run.steadiness_note} (not steady: {', '.join(run.not_steady or ())})"
         flagged = sum(bool(flag) for flag in run.flags)
         yield f"   trust: {run.trust}; {flagged} of {len(run.flags)} frequencies are flagged"

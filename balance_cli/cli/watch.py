@@ -70,7 +70,8 @@ def command(
     A page shows the newest loads. A file is used when its size and time no longer change, and it can be read. RESULTS
     then holds page.html, which a browser reloads by itself, loads.h5 with all runs, and journal.jsonl with a line for
     each file: its loads and whether to trust them, or why it was skipped. Files that cannot be used are skipped; one
-    that changes is reduced again. A zero run serves the runs that come after it.
+    that changes is reduced again. A zero run serves the runs that were recorded after
+    it.
 
     End it with Ctrl-C, --once or --idle. The same call then resumes where it stopped.
     """

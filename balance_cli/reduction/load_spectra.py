@@ -7,8 +7,8 @@ square of the load within it. They contain the noise of the channels, whose part
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,8 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, REDUNDANCY, UNRESOLVED, UNTESTED, join_flags
-from balance_cli.reduction.measured_response import highest_frequency
-from balance_cli.reduction.resolved_spectra import ResolvedSpectra, resolved_spectra
+from balance_cli.reduction.band_steadiness import band_steadiness, statistical_width
+from balance_cli.reduction.resolved_spectra import ResolvedSpectra, require_band, resolved_spectra
 from balance_cli.reduction.response_sources import (
     ResponseSource,
     at_rotor_speed,
@@ -32,7 +31,7 @@ from balance_cli.reduction.response_sources import (
     stacked_real,
     usable_channels,
 )
-from balance_cli.reduction.spectra_result import RunSpectra
+from balance_cli.reduction.spectra_result import RunSpectra, frequency_flags, shared_flags
 from balance_cli.reduction.trust import sensor_count
 from balance_cli.reduction.untested_loads import row_sensors, untested_harmonics
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE, LoadEquations
@@ -52,8 +51,6 @@ TRANSIENT_SHARE = 0.25
 """Largest share of the record that is left out at its start."""
 TESTED_FREQUENCIES = 32
 """Over a band, at which is examined whether a component rests on one sensor: one does at all of them."""
-BELOW_NYQUIST = 0.9
-"""Of half the sample rate: the highest frequency of a spectrum."""
 
 
 @dataclass(frozen=True)
@@ -77,17 +74,19 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     health = usable_channels(run, geometry, source)
     run = source.remove_nonlinear_contribution(run, health.live)
     first = _first_sample(run, source)
-    _require_band(run, source, band)
-    resolved, has_loads = resolved_spectra(run, source, health, first, band), run.has_loads and run.kind == "check"
-    spectra = resolved.spectra
+    require_band(run, source, band)
+    resolved = resolved_spectra(run, source, health, first, band)
     components = carried_components(geometry)
-    clean = CleanRecord(run, health.live, ((first, run.samples),))
-    inversion = _invert(run, geometry, source, health, spectra.frequency, channel_noise(clean, geometry.acquisition))
+    noise = channel_noise(CleanRecord(run, health.live, ((first, run.samples),)), geometry.acquisition)
+    inversion = _invert(run, geometry, source, health, resolved.spectra.frequency, noise)
     density = _densities(run, source, health, inversion, resolved, components)
     is_redundant = inversion.T.shape[1] > len(components) and sensor_count(geometry, health.live) > len(components)
-    words = ["" if is_redundant else UNTESTED, MODEL_CONTRADICTED if source.is_contradicted else ""]
-    words += [] if resolved.is_resolved else [UNRESOLVED]
-    frequency = resolved.average(spectra.frequency)
+    frequency = resolved.average(resolved.spectra.frequency)
+    width = statistical_width(density.power, frequency)
+    inverse = partial(_load_matrix, run, geometry, source, health, noise)
+    level = band_steadiness(run, health.live, components, first, band, width, resolved.decay, inverse)
+    words = shared_flags(is_redundant, source.is_contradicted, resolved.is_resolved)
+    sensors = inversion, density, resolved.bins, health, geometry, components
     return RunSpectra(
         run=run.name,
         kind=run.kind,
@@ -100,23 +99,15 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
         noise=2.0 * density.noise,
         redundancy=density.redundancy,
         redundancy_limit=density.limit,
-        flags=_frequency_flags(words, density.redundancy > density.limit, beyond_sweeps(source, frequency)),
+        flags=frequency_flags(words, density.redundancy > density.limit, beyond_sweeps(source, frequency)),
         resolution_hz=resolved.bandwidth,
         averages=float(np.median(resolved.averages)),
         interval=(first / sample_rate(run), run.samples / sample_rate(run)),
         left_out=health.left_out,
-        load_error=_load_error(spectra, inversion, components, geometry, len(health.live)) if has_loads else None,
-        untested=_rest_on_one_sensor(inversion, density, resolved.bins, health, geometry, components)
-        if is_redundant
-        else None,
-    )
-
-
-def _frequency_flags(words: Sequence[str], rejected: Bools, beyond: Bools) -> tuple[str, ...]:
-    """The flags of each frequency: those of all, a rejected residual, and a place beyond the sweeps."""
-    return tuple(
-        join_flags((*words, REDUNDANCY if is_bad else "", EXTRAPOLATED if is_beyond else ""))
-        for is_bad, is_beyond in zip(rejected, beyond, strict=True)
+        load_error=_load_error(run, resolved.spectra, inversion, components, geometry, len(health.live)),
+        untested=_rest_on_one_sensor(*sensors) if is_redundant else None,
+        not_steady=level.unsteady or None,
+        steadiness_note=level.note or None,
     )
 
 
@@ -191,14 +182,6 @@ def _first_sample(run: Run, source: ResponseSource) -> int:
     return int(min(transient, TRANSIENT_SHARE * run.samples))
 
 
-def _require_band(run: Run, source: ResponseSource, band: tuple[float, float]) -> None:
-    """Raise UserError where the record or the response ends below the band."""
-    highest = min(BELOW_NYQUIST * sample_rate(run) / 2.0, highest_frequency(source))
-    if band[1] > highest:
-        fault = f"{band[1]:g} Hz is beyond what the record and the response hold, {highest:.5g} Hz"
-        raise UserError(fault, run.file, "--band", "Give a lower end")
-
-
 def _invert(
     run: Run, geometry: Geometry, source: ResponseSource, health: ChannelHealth, frequency: Array, variance: Array
 ) -> _Inversion:
@@ -216,6 +199,14 @@ def _invert(
     weighted = np.asarray(np.linalg.solve(noise, T), complex)
     G = np.asarray(np.linalg.solve(_adjoint(T) @ weighted, _adjoint(weighted)), complex)
     return _Inversion(chosen.rows, combination, T, G, np.asarray(noise, complex))
+
+
+def _load_matrix(
+    run: Run, geometry: Geometry, source: ResponseSource, health: ChannelHealth, noise: Array, frequency: Array
+) -> ComplexArray:
+    """Return the matrices (k, m, c) from channels to loads at frequencies (k,)."""
+    inversion = _invert(run, geometry, source, health, frequency, noise)
+    return np.asarray(inversion.G @ inversion.combination)
 
 
 def _response_covariance(
@@ -276,9 +267,16 @@ def _residual_test(
 
 
 def _load_error(
-    spectra: CrossSpectra, inversion: _Inversion, components: tuple[str, ...], geometry: Geometry, channels: int
-) -> dict[str, float]:
-    """Return rms(reduced - applied) / rms(applied) over the band for each component that was applied."""
+    run: Run,
+    spectra: CrossSpectra,
+    inversion: _Inversion,
+    components: tuple[str, ...],
+    geometry: Geometry,
+    channels: int,
+) -> dict[str, float] | None:
+    """Return rms(reduced - applied) / rms(applied) over the band for each component that was applied to a check run."""
+    if not run.has_loads or run.kind != "check":
+        return None
     columns = [channels + COMPONENTS.index(name) for name in components]
     H = anti_alias_response(geometry.acquisition, spectra.frequency)
     applied = np.zeros((len(H), len(components), spectra.density.shape[1]), complex)

@@ -16,6 +16,7 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.free_decays import rig_eigenvalues
+from balance_cli.reduction.measured_response import highest_frequency
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.signals.cross_spectra import CrossSpectra, cross_spectra
 from balance_cli.signals.run_samples import sample_rate
@@ -37,17 +38,23 @@ SPREAD_BINS = 0.787
 HALF_POWER_SHARE = 0.25
 """Of the half-power width of a mode, that the bandwidth has: the phase turns by 90 degrees across the former, and by an
 eighth of a right angle from the middle of the bandwidth to either side."""
+BELOW_NYQUIST = 0.9
+"""Of half the sample rate: the highest frequency of a spectrum."""
 MOST_BYTES = 2**28
 """Samples of a window in memory; beside them are their spectra."""
 
 
 @dataclass(frozen=True)
 class ResolvedSpectra:
-    """Cross spectra within a band, of which `bins` neighbors are averaged; whether they resolve the modes within it."""
+    """Cross spectra within a band, of which `bins` neighbors are averaged; whether they resolve the modes within it.
+
+    `decay` [s] is that of the slowest of these modes.
+    """
 
     spectra: CrossSpectra
     bins: int
     is_resolved: bool
+    decay: float = 0.0
 
     def average(self, values: Array) -> Array:
         """Return the means (k / bins, ...) over neighbors of values (k, ...); those left over are left out."""
@@ -95,7 +102,15 @@ def resolved_spectra(
         raise _no_frequency_error(run, band, samples, rate / length) from error
     if len(spectra.frequency) < 2 * bins:
         raise _no_frequency_error(run, band, samples, bins * rate / length)
-    return ResolvedSpectra(spectra, bins, BANDWIDTH_BINS * rate / length * np.pi * decay <= 1.0)
+    return ResolvedSpectra(spectra, bins, BANDWIDTH_BINS * rate / length * np.pi * decay <= 1.0, decay)
+
+
+def require_band(run: Run, source: ResponseSource, band: tuple[float, float]) -> None:
+    """Raise UserError where the record or the response ends below the band."""
+    highest = min(BELOW_NYQUIST * sample_rate(run) / 2.0, highest_frequency(source))
+    if band[1] > highest:
+        fault = f"{band[1]:g} Hz is beyond what the record and the response hold, {highest:.5g} Hz"
+        raise UserError(fault, run.file, "--band", "Give a lower end")
 
 
 def _slowest_decay_within(run: Run, source: ResponseSource, band: tuple[float, float]) -> float:

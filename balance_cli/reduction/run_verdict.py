@@ -10,11 +10,14 @@ from balance_cli.reduction.flags import (
     EXTRAPOLATED,
     FILTER_CONTRADICTED,
     MODEL_CONTRADICTED,
+    NO_TEMPERATURE,
+    NO_WEIGHT,
     NO_ZERO,
     NOT_MEASURED,
     NOT_STEADY,
     REDUNDANCY,
     UNMODELLED_LINE,
+    UNRESOLVED,
     UNTESTED,
 )
 from balance_cli.reduction.result import RunLoads
@@ -30,12 +33,19 @@ MEANINGS = {
     NOT_MEASURED: "no channel measures the mean loads",
     UNTESTED: "no redundant sensor tests them",
     REDUNDANCY: "the redundant channels contradict them",
-    EXTRAPOLATED: "mean loads lie outside the calibrated range",
+    EXTRAPOLATED: "loads lie outside the calibrated range, or harmonics outside the sweeps",
+    NO_WEIGHT: "the rig has another attitude than at its zero, or one is not stated, and its weight is not known",
+    NO_TEMPERATURE: "the channels depend on temperature, and that of the run or of its zero is not known",
     NOT_STEADY: "loads step or drift within the record",
     UNMODELLED_LINE: "the channels have a line beside these harmonics, or one above the highest",
     FILTER_CONTRADICTED: "the innovations contradict the filter",
-    MODEL_CONTRADICTED: "the response misses its own data, or known loads, by more than a tenth of the load",
+    MODEL_CONTRADICTED: (
+        "the response misses its own data, or known loads, by more than a tenth of the load, or channels or loads are "
+        "not as in other runs: the notes say which"
+    ),
+    UNRESOLVED: "the record is too short to resolve a mode of the balance",
 }
+"""What each flag says of the rows of a run."""
 
 
 @dataclass(frozen=True)

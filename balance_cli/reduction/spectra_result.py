@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural
-from balance_cli.reduction.flags import REDUNDANCY, SEPARATOR, UNTESTED, join_flags, trust_word
+from balance_cli.reduction.flags import (
+    EXTRAPOLATED,
+    MODEL_CONTRADICTED,
+    NOT_STEADY,
+    REDUNDANCY,
+    SEPARATOR,
+    UNRESOLVED,
+    UNTESTED,
+    join_flags,
+    trust_word,
+)
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 from balance_cli.signals.distributions import poisson
 
@@ -20,6 +30,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 SPECTRUM_COLUMNS = (
     "run",
@@ -55,7 +66,8 @@ class RunSpectra(ResultView):
     the residual test with its limit; flags (k,); `resolution_hz`: noise bandwidth of a frequency; `averages`:
     independent spectra in the mean; interval [s] that was used; `load_error` {component applied: rms(reduced - applied)
     / rms(applied) over the band} of a check run; `untested`: components that rest on one sensor, None where all or none
-    do; random_sigma (k, m) the part of sigma that differs from frequency to frequency.
+    do; random_sigma (k, m) the part of sigma that differs from frequency to frequency; `not_steady`: components whose
+    level changes within the record, None where none does, and `steadiness_note`, when.
     """
 
     run: str
@@ -76,6 +88,8 @@ class RunSpectra(ResultView):
     load_error: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
     untested: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     random_sigma: Array | None = field(default=None, metadata={"omit_if_none": True})
+    not_steady: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    steadiness_note: str | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def band_rms(self) -> dict[str, tuple[float, float]]:
@@ -94,7 +108,15 @@ class RunSpectra(ResultView):
     @property
     def _component_flags(self) -> list[str]:
         """What each component has at all frequencies beside their own flags."""
-        return [UNTESTED if name in (self.untested or ()) else "" for name in self.components]
+        return [
+            join_flags(
+                (
+                    UNTESTED if name in (self.untested or ()) else "",
+                    NOT_STEADY if name in (self.not_steady or ()) else "",
+                )
+            )
+            for name in self.components
+        ]
 
     @property
     def peak_hz(self) -> dict[str, float]:
@@ -105,7 +127,7 @@ class RunSpectra(ResultView):
     @property
     def trust(self) -> str:
         """The word of trust of the run: `contradicted` only where more frequencies are than chance explains."""
-        words = [flag.split(SEPARATOR) for flag in (*self.flags, *(UNTESTED for _ in self.untested or ()))]
+        words = [flag.split(SEPARATOR) for flag in (*self.flags, *self._component_flags)]
         rejected = sum(REDUNDANCY in flags for flags in words)
         by_chance = float(poisson.ppf(REDUNDANCY_CONFIDENCE, (1.0 - REDUNDANCY_CONFIDENCE) * len(self.flags)))
         ignored = (REDUNDANCY,) if rejected <= NEIGHBORS_REJECTED * by_chance else ()
@@ -156,3 +178,17 @@ class LoadSpectra(ResultView):
         import pandas as pd
 
         return pd.concat([run.to_frame() for run in self.runs.values()], ignore_index=True)
+
+
+def frequency_flags(words: Sequence[str], rejected: Bools, beyond: Bools) -> tuple[str, ...]:
+    """Return the flags of each frequency: `words` of all, a rejected residual, a place beyond the sweeps (k,)."""
+    return tuple(
+        join_flags((*words, REDUNDANCY if is_bad else "", EXTRAPOLATED if is_beyond else ""))
+        for is_bad, is_beyond in zip(rejected, beyond, strict=True)
+    )
+
+
+def shared_flags(is_redundant: bool, is_contradicted: bool, is_resolved: bool) -> tuple[str, ...]:
+    """Return the flags that all frequencies of a spectrum have."""
+    untested, contradicted = "" if is_redundant else UNTESTED, MODEL_CONTRADICTED if is_contradicted else ""
+    return untested, contradicted, "" if is_resolved else UNRESOLVED

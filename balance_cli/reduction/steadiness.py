@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import TrimCalibration
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.free_decays import rig_eigenvalues
+from balance_cli.reduction.harmonic_loads import window_harmonic_loads, window_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
-from balance_cli.signals.anti_alias import anti_alias_response
-from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change
+from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change, harmonic_drift
 from balance_cli.signals.rotor.common_change import CommonChange, changes_of_columns, common_change
 from balance_cli.signals.rotor.steadiness import (
     WindowedAmplitudes,
@@ -49,13 +48,14 @@ mean by less than an eighth of itself."""
 SLOW_MODE_CORRELATION = 0.9
 """Correlation of neighboring windows from which the slowest mode may be slower than a window: it then shakes the means
 of windows, too, which average faster modes out."""
-LEAST_NOISE = 1e-6
-"""Of the noise of the noisiest row: with less, as of a coarse converter that repeats itself in each revolution, normal
-equations would see no other row."""
 SAID_CHANGE = 0.01
 """Factor less one, or turn [rad], from which a change of all harmonics is described by it."""
+TONE_QUESTION = "is the tone at the given frequency, or were samples lost?"
+"""What a turn of all loads at a given frequency asks: no azimuth tells where the tone is."""
 AVERAGED_PERIODS = 2.0
 """Periods of a mode in a window that leave less than a sixth of its amplitude in the mean, 1 over 2 pi."""
+STEADY_SPEED = 2e-3
+"""Relative range of the speed of windows up to which they have one response: pulses scatter by less."""
 START_UP_SHARE = 0.03
 """Departure of the rotor speed of a window from that of the interval by which a record begins with a start-up."""
 
@@ -65,11 +65,13 @@ class Steadiness:
     """Which loads (n+1, m) of a record step or drift within it, and `note`, why where all do; empty without.
 
     `mean_change` (m,) is by how much the mean loads do so, if one does by more than chance; it may be immaterial.
+    `harmonic_error` (n, m) is by how much such changes make the harmonics uncertain, zero where they do not.
     """
 
     unsteady: NDArray[np.bool_]
     note: str = ""
     mean_change: Array | None = None
+    harmonic_error: Array | None = None
 
 
 def examine_steadiness(
@@ -78,13 +80,15 @@ def examine_steadiness(
     source: ResponseSource,
     static: TrimCalibration | None,
     sigma: Array,
+    reported: ComplexArray,
     constant_response: ComplexArray | None = None,
 ) -> Steadiness:
     """Return which loads (n+1, m) step or drift within a record, by more than chance and by more than is immaterial.
 
-    `sigma` (n+1, m) are the standard deviations that are stated for the loads; without a static calibration harmonic 0
-    is not examined. What was left out at the start as a transient is examined too, from where the rig alone is steady:
-    a step of the load looks like the end of a transient. A change that all harmonics have in common makes all unsteady.
+    `sigma` (n+1, m) are the standard deviations that are stated for the loads, `reported` (n, m) the harmonics; without
+    a static calibration harmonic 0 is not examined. What was left out at the start as a transient is examined too, from
+    where the rig alone is steady: a step of the load looks like the end of a transient. A change that all harmonics
+    have in common makes all unsteady.
     `constant_response` (n, rows, 6) is that to the harmonics of a record from which its change with the speed was
     taken out; without, that at the speed of each window counts, from which a light mode departs.
     """
@@ -95,9 +99,9 @@ def examine_steadiness(
     if not len(windows.values):
         return Steadiness(np.zeros(sigma.shape, bool))
     loads = np.zeros((len(windows.values), *sigma.shape), complex)
-    loads[:, 1:] = _harmonic_loads(windows, record, geometry, source, constant_response)
+    loads[:, 1:] = window_harmonic_loads(windows, record, geometry, source, constant_response)
     if static is not None:
-        loads[:, 0] = _mean_loads(windows, static)
+        loads[:, 0] = window_mean_loads(windows, static)
     of_harmonics = _correlation(windows, source)
     correlation = np.full((n + 1, 1), of_harmonics)
     correlation[0] *= of_harmonics > SLOW_MODE_CORRELATION and not _averages_modes(windows, record, source)
@@ -115,7 +119,18 @@ def examine_steadiness(
     mean_change = largest_change(loads[:, 0]) * unsteady(loads[:, 0], sigma[0], correlation[0]).any()
     is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
     note = _change_of_all(within, windows, start, lambda window: first + window * duration, record, geometry)
-    return Steadiness(is_unsteady | bool(note), note, mean_change)
+    whole = _reported(within[:, 1:], windows, reported)
+    error = harmonic_drift(within[:, 1:], whole, sigma[1:], bool(mean_change.any()))
+    return Steadiness(is_unsteady | bool(note), note, mean_change, error)
+
+
+def _reported(values: ComplexArray, windows: WindowedAmplitudes, reported: ComplexArray) -> ComplexArray:
+    """Return the harmonics (n, m) as they are reported, or the means of windows (w, n, m) where the speed varies.
+
+    The response at the mean speed is then another one than those of the windows.
+    """
+    varies = np.ptp(windows.speed) > STEADY_SPEED * float(np.median(windows.speed))
+    return np.asarray(values.mean(axis=0) if varies else reported)
 
 
 def _change_of_all(
@@ -134,12 +149,13 @@ def _change_of_all(
     if change is None:
         change, whose = _change_of_channel(windows, start)
     if change is not None:
-        return _explain(change, time_of(change.window), whose)
+        return _explain(change, time_of(change.window), whose, record.fixed_frequency)
     alone = _channel_alone(windows, start, record, geometry)
     if alone is None:
         return ""
     whose = "" if alone.column is None else f" of {windows.names[alone.column]}"
-    return f"from {time_of(alone.window):.3g} s on all harmonics{whose} {alone.description}: {alone.question}"
+    question = TONE_QUESTION if record.fixed_frequency and alone.column is None else alone.question
+    return f"from {time_of(alone.window):.3g} s on all harmonics{whose} {alone.description}: {question}"
 
 
 def _channel_alone(
@@ -167,8 +183,11 @@ def _change_of_channel(windows: WindowedAmplitudes, start: int) -> tuple[CommonC
     return None, ""
 
 
-def _explain(change: CommonChange, time: float, whose: str) -> str:
-    """Say what all harmonics, or those of one channel, do from a time [s] on, and what may have made them."""
+def _explain(change: CommonChange, time: float, whose: str, is_tone: bool) -> str:
+    """Say what all harmonics, or those of one channel, do from a time [s] on, and what may have made them.
+
+    A tone has no azimuth that could slip.
+    """
     turn = np.degrees(change.turn)
     parts = [
         f"have {change.factor:.3g} times their size" if abs(change.factor - 1.0) > SAID_CHANGE else "",
@@ -176,7 +195,7 @@ def _explain(change: CommonChange, time: float, whose: str) -> str:
     ]
     reasons = "was a gain switched, or did a cable come off?" if parts[0] else ""
     if parts[1]:
-        reasons = "did the azimuth slip, or were samples lost?"
+        reasons = TONE_QUESTION if is_tone else "did the azimuth slip, or were samples lost?"
     return f"from {time:.3g} s on all harmonics{whose} {' and '.join(filter(None, parts))}: {reasons}"
 
 
@@ -241,59 +260,3 @@ def _material_change(size: Array) -> Array:
     )
     change[0] = MATERIAL_SHARE * size.max(axis=0)
     return np.asarray(change)
-
-
-def _mean_loads(windows: WindowedAmplitudes, static: TrimCalibration) -> ComplexArray:
-    """Return the mean loads (w, m) of each window through the static matrix, from the channels that are there."""
-    rows = [i for i, name in enumerate(static.channel_names) if name in windows.names]
-    columns = [windows.names.index(static.channel_names[i]) for i in rows]
-    inverse = static.T0
-    if len(rows) < len(static.channel_names):
-        inverse = np.linalg.pinv(static.C0[rows] * static.calibrated_range) * static.calibrated_range[:, None]
-    change = windows.values[:, 0, columns] - static.mean_channels[rows]
-    return np.asarray(static.mean_load + change @ inverse.T)
-
-
-def _harmonic_loads(
-    windows: WindowedAmplitudes,
-    record: RotorRecord,
-    geometry: Geometry,
-    source: ResponseSource,
-    constant_response: ComplexArray | None,
-) -> ComplexArray:
-    """Return the loads (w, n, m) of each window, weighted by noise.
-
-    The response is that at the speed of the window, or the same in all windows.
-    """
-    count, orders = len(windows.values), np.arange(1, windows.values.shape[1])
-    frequency = (windows.speed[:, None] * orders).ravel()
-    if constant_response is not None:
-        frequency = np.tile(record.spectra.frequency_hz[1:], count)
-    combination = source.channel_combination(frequency, record.health.live)
-    columns = [COMPONENTS.index(name) for name in record.components]
-    if constant_response is None:
-        response = source.at(frequency, record.spin)
-    else:
-        response = np.tile(constant_response, (count, 1, 1))
-    T = response[:, combination.rows][:, :, columns]
-    filtered = combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
-    volts = windows.values[:, 1:].reshape(count * len(orders), -1)
-    y = np.einsum("krc,kc->kr", filtered, volts)
-    live = record.spectra.columns(record.health.live)
-    noise = np.einsum("hcc->hc", record.spectra.covariance[1:][:, live][:, :, live]).real
-    sigma = np.sqrt(np.einsum("krc,kc->kr", np.abs(filtered) ** 2, np.tile(noise, (count, 1))))
-    sigma = np.maximum(sigma, LEAST_NOISE * sigma.max(axis=1, keepdims=True))
-    solved = _least_squares(T / sigma[:, :, None], y / sigma)
-    return np.asarray(solved.reshape(count, len(orders), -1))
-
-
-def _least_squares(A: ComplexArray, y: ComplexArray) -> ComplexArray:
-    """Return the least-squares solutions (k, m) of A x = y, A (k, r, m) of full rank, by normal equations.
-
-    With columns of length one their condition stays below 1e6 where that of the loads is in the hundreds, and a test of
-    changes by percents needs few digits.
-    """
-    size = np.linalg.norm(A, axis=1)
-    scaled = A / size[:, None, :]
-    adjoint = np.swapaxes(scaled.conj(), 1, 2)
-    return np.asarray(np.linalg.solve(adjoint @ scaled, adjoint @ y[:, :, None])[:, :, 0] / size)

@@ -56,7 +56,8 @@ class Trust:
     rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
     `regressed` is the highest harmonic of the regression, `steadiness_note` says why all loads are unsteady;
     `wrong_channels` is the mistake in the channels that explains what they contradict, with the `evidence` for it;
-    `suspect_note` names channels without which they contradict nothing; `mean_change` (m,) is that of `Steadiness`.
+    `suspect_note` names channels without which they contradict nothing; `mean_change` (m,) and
+    `harmonic_error` (n, m) are those of `Steadiness`.
     """
 
     untested: Mask
@@ -73,6 +74,7 @@ class Trust:
     evidence: str = PASSES_TEST
     suspect_note: str = ""
     mean_change: Array | None = None
+    harmonic_error: Array | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -164,6 +166,7 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
         evidence=EVIDENCE if by_turbulence else PASSES_TEST,
         suspect_note=suspect,
         mean_change=content.steadiness.mean_change,
+        harmonic_error=content.steadiness.harmonic_error,
     )
 
 
@@ -180,8 +183,8 @@ def _nonperiodic_content(reduced: ReducedRecord) -> NonperiodicContent:
     that change, over time without the harmonics.
     """
     record, geometry, source = reduced.record, reduced.geometry, reduced.source
-    lines = lines_of_record(record, source)
-    steadiness = examine_steadiness(record, geometry, source, reduced.static, reduced.sigma)
+    lines, reported = lines_of_record(record, source), reduced.solution.loads
+    steadiness = examine_steadiness(record, geometry, source, reduced.static, reduced.sigma, reported)
     if all(line.turns_with_rotor for line in lines) and not steadiness.unsteady[1:].any():
         return NonperiodicContent(lines, steadiness)
     even = at_constant_speed(record, geometry, source)
@@ -190,7 +193,7 @@ def _nonperiodic_content(reduced: ReducedRecord) -> NonperiodicContent:
     constant_response = reduced.response if even is not record else None
     return NonperiodicContent(
         lines_of_record(even, source, even.residual_spectrum),
-        examine_steadiness(even, geometry, source, reduced.static, reduced.sigma, constant_response),
+        examine_steadiness(even, geometry, source, reduced.static, reduced.sigma, reported, constant_response),
     )
 
 

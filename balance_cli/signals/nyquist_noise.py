@@ -24,6 +24,10 @@ FEWEST_SAMPLES = 1024
 """With fewer the level of a channel is not known to a tenth."""
 BAND = (0.8, 0.95)
 """Of half the sample rate: above what is excited, and below what the filters of converters remove."""
+MAIN_LOBE = 3
+"""Bins on either side of a harmonic that it reaches: two of the raised cosine, and one for the scatter of pulses."""
+FEWEST_LINES = 50
+"""Lines between harmonics, with fewer of which the level of a channel is not known to a tenth."""
 EIGENVALUE_FACTOR = 1.5
 """Of the largest eigenvalue of the correlation of c channels at k lines, over the (1 + sqrt(c/k))^2 of independent
 noise (Marchenko and Pastur, 1967): loads that reach the band drive all channels together."""
@@ -69,7 +73,9 @@ def measure_nyquist_noise(run: Run, channel_names: tuple[str, ...]) -> RunNoise 
     window = np.hanning(count)
     spectrum = np.fft.rfft((channels - channels[0]) * window[:, None], axis=0)
     first, last = (int(share * (len(spectrum) - 1)) for share in BAND)
-    lines = spectrum[first:last]
+    lines = spectrum[first:last][_between_harmonics(run, count, np.arange(first, last))]
+    if len(lines) < FEWEST_LINES:
+        return RunNoise(run.name, run.kind, run.sample_rate, np.full(len(channel_names), np.nan), False)
     power = np.mean(np.abs(lines) ** 2, axis=0)
     usable = np.isfinite(power) & (power > 0)
     normed = lines[:, usable] / np.sqrt(power[usable])
@@ -78,6 +84,24 @@ def measure_nyquist_noise(run: Run, channel_names: tuple[str, ...]) -> RunNoise 
     density = 2.0 * power / (run.sample_rate * np.sum(window**2))
     amplitude = np.sqrt(np.where(usable, density, np.nan))
     return RunNoise(run.name, run.kind, run.sample_rate, amplitude, bool(largest < limit))
+
+
+def _between_harmonics(run: Run, count: int, bins: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which bins of a spectrum over the last samples of a run hold no harmonic of its rotor.
+
+    Without a declared filter, or with a slow sample rate, the harmonics of the loads reach half the sample rate.
+    """
+    if run.pulse_times is None or run.sample_rate is None:
+        return np.ones(len(bins), bool)
+    start = (run.samples - count) / run.sample_rate
+    turns = np.diff(run.pulse_times[run.pulse_times >= start])
+    turns = turns[turns > 0]
+    if not len(turns):
+        return np.ones(len(bins), bool)
+    resolution = run.sample_rate / count
+    slow, fast = (float(np.percentile(1.0 / turns, share)) / resolution for share in (5.0, 95.0))
+    # A bin is free where no multiple of a speed between these lies within the main lobe.
+    return np.asarray(np.ceil((bins - MAIN_LOBE) / fast) > np.floor((bins + MAIN_LOBE) / slow))
 
 
 def usual_noise(levels: Iterable[RunNoise | None], channel_names: tuple[str, ...]) -> tuple[UsualNoise, ...]:

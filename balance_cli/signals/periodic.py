@@ -14,8 +14,8 @@ from scipy.fft import rfft
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
+from balance_cli.signals import periodic_transient as transient
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, variance_floor
-from balance_cli.signals.deviating_periods import no_common_line, require_like_loads
 from balance_cli.signals.line_covariance import LineCovariance, pool_scatter
 from balance_cli.signals.periodic_transient import SteadyStart, find_steady_start
 from balance_cli.signals.quantization import COMPARED_SAMPLES, quantization_steps, repeated_variance
@@ -111,7 +111,7 @@ def periodic_record(
     variance = total.variance if left is None else total.variance + np.einsum("kss->ks", left).real
     excited = _excited_lines(mean, variance, len(components))
     selected = _select_lines(run, excited, frequency, band, spectra[:, :, c:])
-    require_like_loads(run, spectra[:, selected, c:], int(start.first.max()))
+    transient.require_like_loads(run, spectra[:, selected, c:], int(start.first.max()))
     inputs = _input_columns(components, excited[selected], run.excited)
     signals = np.array([*range(c), *(c + i for i in inputs)])
     covariance = total.at(selected, signals)
@@ -257,7 +257,7 @@ def _select_lines(
     """Which lines (K,) are excited and within `band` [Hz]. Raises UserError where `loads` (P, K, u) have none."""
     selected = np.any(excited, axis=1)
     if not np.any(selected):
-        raise no_common_line(run, loads)
+        raise transient.no_common_line(run, loads)
     selected &= (frequency >= band[0]) & (frequency <= band[1])
     if not np.any(selected):
         raise run_error(

@@ -124,14 +124,12 @@ class _Reduction:
     loads: HubLoads
     provenance: Provenance
     geometry: str
-    harmonics: frozenset[int]
 
     @classmethod
     def of(cls, shard: Shard) -> _Reduction:
         """Return that of a shard."""
-        harmonics = frozenset(len(loads.frequency_hz) for loads in shard.loads.runs.values())
         digest = geometry_digest(shard.loads.geometry)
-        return cls(shard.file, replace(shard.loads, runs={}), shard.provenance, digest, harmonics)
+        return cls(shard.file, replace(shard.loads, runs={}), shard.provenance, digest)
 
 
 def _difference(first: _Reduction, other: _Reduction) -> str:
@@ -145,7 +143,7 @@ def _difference(first: _Reduction, other: _Reduction) -> str:
     for role in sorted({item.role for shard in (first, other) for item in shard.provenance.inputs} - {RUN_ROLE}):
         if _digests(first, role) != _digests(other, role):
             return f"the {role}"
-    return "" if first.harmonics == other.harmonics else "the number of harmonics"
+    return ""  # each run has the harmonics that its band permits
 
 
 def _digests(reduction: _Reduction, role: str) -> set[str]:

@@ -114,7 +114,7 @@ def reduce_record(
     further = filter(None, [mean_solution.note, source.note if isinstance(source, ResponseWithoutModel) else ""])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
     loads = replace(loads, wrong_channels=trust.wrong_channels or None)
-    loads = _flag_pair_gains(_with_mean_change(loads, trust.mean_change), gains)
+    loads = _flag_pair_gains(_with_changes(loads, trust.mean_change, trust.harmonic_error), gains)
     if static is not None:
         loads = _flag_implausible(loads, static)
     loads = flag_beyond_sweeps(flag_by_held_out_runs(loads, source), source)
@@ -123,16 +123,18 @@ def reduce_record(
     return _with_check_errors(loads, record, harmonic_solution, geometry, source, response)
 
 
-def _with_mean_change(loads: RunLoads, change: Array | None) -> RunLoads:
+def _with_changes(loads: RunLoads, change: Array | None, harmonic_error: Array | None) -> RunLoads:
     """Return the loads with half of the change (m,) of the means within the record in their sigma.
 
     Nobody knows whether what is sought is the load before or after: where a channel stepped, one of them is right.
+    `harmonic_error` (n, m) is what changes leave in the harmonics.
     """
-    if change is None or not change.any():
-        return loads
-    sigma = loads.sigma_cosine.copy()
-    sigma[0] = np.hypot(sigma[0], 0.5 * change)
-    return replace(loads, sigma_cosine=sigma)
+    cosine, sine = loads.sigma_cosine.copy(), loads.sigma_sine.copy()
+    if change is not None and change.any():
+        cosine[0] = np.hypot(cosine[0], 0.5 * change)
+    if harmonic_error is not None:
+        cosine[1:], sine[1:] = np.hypot(cosine[1:], harmonic_error), np.hypot(sine[1:], harmonic_error)
+    return replace(loads, sigma_cosine=cosine, sigma_sine=sine)
 
 
 def _flag_pair_gains(loads: RunLoads, gains: tuple[PairGain, ...]) -> RunLoads:

@@ -63,6 +63,11 @@ def harmonics_within_band(run: Run, source: ResponseSource, harmonics: int, roto
     return max(1, min(harmonics, int(highest / fastest)))
 
 
+def fewer_harmonics_warning(name: str, harmonics: int, wanted: int) -> str:
+    """Return that a run permits fewer harmonics than those wanted, in words."""
+    return f"{name}: {harmonics} harmonics in place of {wanted}: those above are beyond its band"
+
+
 def _fastest_pulse_rate(run: Run) -> float:
     """Return the rate [Hz] of the closest pulses, or the declared speed where that is higher; inf without pulses."""
     if run.pulse_times is None or len(run.pulse_times) < 2:

@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 
 SIGNIFICANCE = 0.01
 """p-value, corrected for the number of comparisons, below which a run is an outlier or a drift is stated."""
+SAME_VALUE = 1e-6
+"""Relative range of an attribute up to which it does not vary: the clocks that speeds come from are known to some parts
+per million, and numbers of single precision to 6e-8. Runs at a constant speed differ by rounding, 1e-12, alone."""
 FEWEST_REPEATS = 4
 """Runs of one condition from which an outlier can be told: Student's t of three has one degree of freedom."""
 SCATTER_QUANTILE, OF_NORMAL, EFFICIENCY = 0.8, 1.2816, 0.6
@@ -38,7 +41,7 @@ heavy tails count. Its value for a normal variable of unit variance, and the eff
 class LoadTrend:
     """Change of a quantity of a component with an attribute; the slope is NaN where that does not vary.
 
-    `scatter` is the rms about the line over that of the stated sigmas.
+    Differences up to SAME_VALUE do not count. `scatter` is the rms about the line over that of the stated sigmas.
     """
 
     component: str
@@ -109,7 +112,7 @@ def _series(points: Sequence[TrendPoint], component: str, quantity: str) -> tupl
 def _line(x: Array, y: Array, sigma: Array) -> tuple[float, float, float, float, float]:
     """Return slope, its standard error, intercept, p-value of the slope, and scatter over stated sigma."""
     nan = float("nan")
-    if len(x) < 3 or np.ptp(x) == 0:
+    if len(x) < 3 or np.ptp(x) <= SAME_VALUE * np.max(np.abs(x)):
         scatter = np.std(y, ddof=1) / np.sqrt(np.mean(sigma**2)) if len(y) > 1 and np.all(sigma > 0) else nan
         return nan, nan, float(np.mean(y)) if len(y) else nan, nan, float(scatter)
     weight = 1.0 / np.maximum(sigma, np.finfo(float).tiny) ** 2 if np.all(sigma > 0) else np.ones(len(x))

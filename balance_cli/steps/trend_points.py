@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.recorded_time import recorded_time
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.polar import polar_sigma
@@ -66,12 +66,8 @@ class TrendPoint:
     @property
     def recorded(self) -> float | None:
         """Time of the run [days], where its file states it in ISO 8601; UTC where it states no zone."""
-        text = None if self.loads.conditions is None else self.loads.conditions.recorded
-        try:
-            time = datetime.fromisoformat(text or "")
-        except ValueError:
-            return None
-        return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp() / SECONDS_PER_DAY
+        time = None if self.loads.conditions is None else recorded_time(self.loads.conditions.recorded)
+        return None if time is None else time / SECONDS_PER_DAY
 
     def unit(self, component: str) -> str:
         """Return the unit of a component."""

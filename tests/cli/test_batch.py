@@ -100,6 +100,37 @@ def test_what_many_runs_have_is_one_line_and_each_of_them_in_the_json(folder, tm
     assert all(run["notes"] and run["channels_left_out"] for run in summary["runs"].values())
 
 
+def test_each_run_has_the_harmonics_that_it_permits(folder, tmp_path):
+    """A run that was skipped, and one whose band ends early, took harmonics from all others."""
+    toothed, coarse = (
+        shutil.copy(runs_of(folder)[i], tmp_path / f"{name}.h5") for i, name in ((1, "teeth"), (2, "low"))
+    )
+    with h5py.File(toothed, "r+") as file:
+        pulses = file["rotor/pulse_times"][:]
+        del file["rotor/pulse_times"]
+        file["rotor/pulse_times"] = np.interp(np.arange(0, len(pulses) - 1, 0.25), np.arange(len(pulses)), pulses)
+    with h5py.File(coarse, "r+") as file:
+        step = int(file.attrs["sample_rate"] / (12.5 * file.attrs["rotor_speed"]))
+        volts, attributes = file["channels"][::step], dict(file["channels"].attrs)
+        del file["channels"]
+        file.create_dataset("channels", data=volts).attrs.update(attributes)
+        file.attrs["sample_rate"] /= step
+    sound = runs_of(folder)[0]
+    assert reduce(folder, tmp_path / "alone.csv", runs=[sound]).exit_code == 0
+    done = reduce(folder, tmp_path / "all.csv", runs=[sound, toothed, coarse])
+    assert done.exit_code == 4 and "skipped" in done.stderr
+    (warning,) = [line for line in done.stderr.splitlines() if "in place of" in line]
+    assert "wind-00002: 7 harmonics in place of 8" in warning
+    rows = (tmp_path / "all.csv").read_text().splitlines()
+    assert len(rows) == 1 + 6 * (9 + 8)
+    assert (tmp_path / "alone.csv").read_text().splitlines()[1:] == [row for row in rows if "wind-00000" in row]
+    shards = [tmp_path / f"{i}.h5" for i in (1, 2)]
+    for i, shard in enumerate(shards, 1):
+        assert reduce(folder, shard, "--shard", f"{i}/2", runs=[sound, coarse]).exit_code == 0
+    words = ["merge", *map(str, shards), "-o", str(tmp_path / "merged.h5")]
+    assert CliRunner().invoke(balance, words).exit_code == 0
+
+
 def test_whoever_expects_bad_runs_gets_status_zero(folder, with_bad, tmp_path):
     assert reduce(folder, tmp_path / "l.csv", "--skip-bad", runs=with_bad).exit_code == 0
 

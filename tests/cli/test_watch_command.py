@@ -176,3 +176,74 @@ def test_a_given_zero_that_was_made_under_load_is_not_used(tmp_path):
     (entry,) = journal(tmp_path)
     assert any("is no wind-off record and is not used" in text for text in entry["warnings"])
     assert all("no zero" in flag for flag in loads(tmp_path).runs["wind-1"].flags[0])
+
+
+@pytest.fixture(scope="module")
+def rts(tmp_path_factory):
+    """Calibration and computed model of the sample rig, its zero and a wind run."""
+    folder = tmp_path_factory.mktemp("rts")
+    data, rig = RIG.parents[1] / "sample_data", RIG.with_name("rts-6.yaml")
+    call("calibrate", "-g", rig, data / "static-bare.h5", "-o", folder / "cal.h5")
+    call("identify", "-g", rig, "--method", "computed", "-o", folder / "model.h5")
+    shutil.copy(data / "wind-1.h5", folder / "wind.h5")
+    shutil.copy(folder / "wind.h5", folder / "zero.h5")
+    with h5py.File(folder / "zero.h5", "r+") as file:
+        noise = np.random.default_rng(1).standard_normal(file["channels"].shape)
+        file["channels"][:] = 1e-4 * noise
+        file.attrs["kind"], file.attrs["rotor_speed"] = "zero", 0.0
+        del file["rotor"]
+    return folder
+
+
+def put(rts, folder, kind, name, recorded, offset, file_time):
+    """A zero or wind run with an offset of all channels [V]."""
+    path = folder / f"{name}.h5"
+    shutil.copy(rts / f"{kind}.h5", path)
+    with h5py.File(path, "r+") as file:
+        file["channels"][:] += offset
+        file.attrs["run"] = name
+        if recorded:
+            file.attrs["recorded"] = recorded
+    os.utime(path, (1e9 + file_time, 1e9 + file_time))
+
+
+def watch_zeros(rts, folder):
+    words = ("--calibration", rts / "cal.h5", "--model", rts / "model.h5", "-o", folder / "out")
+    return call("watch", folder / "in", *words, "--once", "--every", 0.05, "--harmonics", 2)
+
+
+SERIES = (  # kind, name, recorded, offset [V]: the zeros of the channels change before zero zB
+    ("zero", "zA", "2026-03-01T08:00:00", 0.0),
+    ("wind", "wA", "2026-03-01T09:00:00", 0.0),
+    ("zero", "zB", "2026-03-01T10:00:00", 0.05),
+    ("wind", "wB", "2026-03-01T11:00:00", 0.05),
+)
+
+
+@pytest.mark.parametrize("file_times", [(0, 2, 1, 3), (3, 2, 1, 0)])
+def test_runs_have_the_zero_that_was_recorded_before_them(rts, tmp_path, file_times):
+    """A copy that changes the times of files gave a run a zero recorded after it, 32 sigma off."""
+    (tmp_path / "in").mkdir()
+    for item, time in zip(SERIES, file_times, strict=True):
+        put(rts, tmp_path / "in", *item, time)
+    output = watch_zeros(rts, tmp_path).output
+    assert "h5 left out" not in output
+    runs = loads(tmp_path).runs
+    np.testing.assert_allclose(runs["wA"].amplitude[0], runs["wB"].amplitude[0], rtol=1e-3, atol=0.1)
+    served = {entry["run"]: entry["zero"] for entry in journal(tmp_path) if entry["kind"] == "wind"}
+    assert served == {"wA": "zA", "wB": "zB"}
+    count = len(journal(tmp_path))
+    put(rts, tmp_path / "in", "wind", "wC", "2026-03-01T09:30:00", 0.0, 9)
+    output = watch_zeros(rts, tmp_path).output
+    assert ("its zero is zA, the last recorded before it, not zB" in output) == (file_times[0] == 0)
+    assert len(journal(tmp_path)) == count + 1  # neither zeros nor runs again
+    np.testing.assert_allclose(loads(tmp_path).runs["wC"].amplitude[0], runs["wA"].amplitude[0], rtol=1e-3, atol=0.1)
+
+
+def test_without_stated_times_a_zero_serves_the_files_after_it(rts, tmp_path):
+    (tmp_path / "in").mkdir()
+    for time, (kind, name, _, offset) in enumerate(SERIES):
+        put(rts, tmp_path / "in", kind, name, None, offset, time)
+    watch_zeros(rts, tmp_path)
+    served = {entry["run"]: entry["zero"] for entry in journal(tmp_path) if entry["kind"] == "wind"}
+    assert served == {"wA": "zA", "wB": "zB"}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.reduction.load_spectra import load_spectra
 from balance_cli.reduction.model_sources import model_source
@@ -34,11 +36,16 @@ LEVEL, BAND = 30.0, (10.0, 120.0)
 @cache
 def spectra_of(seconds: float, seed: int = 1) -> RunSpectra:
     """Spectra of a record under a random force alone, by the exact response: modes at 50 and 74 Hz, 0.4 % damped."""
+    return load_spectra(random_run(seconds, seed), RIG, identified(), (15.0, 110.0))
+
+
+@cache
+def random_run(seconds: float, seed: int = 1) -> Run:
+    """A record under a random force alone."""
     plan = SweepPlan(
         run="r", excited=("Fz",), level=(LEVEL,), excitation="random", period=seconds, periods=1, band=BAND
     )
-    runs, _ = simulate_campaign(true_rig(RIG), CampaignPlan(runs=(plan,)), seed=seed)
-    return load_spectra(runs[0], RIG, identified(), (15.0, 110.0))
+    return simulate_campaign(true_rig(RIG), CampaignPlan(runs=(plan,)), seed=seed)[0][0]
 
 
 @cache
@@ -79,3 +86,27 @@ def test_spread_of_the_window() -> None:
     spectrum = np.abs(np.fft.fft(window, 16 * 4096)) ** 2
     bins = np.fft.fftfreq(16 * 4096, 1 / 4096)
     assert np.sqrt(np.sum(bins**2 * spectrum) / np.sum(spectrum)) == pytest.approx(SPREAD_BINS, rel=2e-3)
+
+
+def changed_level(run: Run, factor: float, start: float, end: float) -> Run:
+    """The run with channels multiplied by a factor in a part of the record, as shares of it."""
+    block = run.read()
+    share = np.linspace(0.0, 1.0, run.samples)[:, None]
+    volts = np.asarray(block.channels) * np.where((share > start) & (share < end), factor, 1.0)
+    return replace(run, source=MemorySource(volts, None))
+
+
+@pytest.mark.parametrize(
+    ("factor", "start", "end"), [(2.0, 0.75, 1.0), (4.0, 0.75, 1.0), (3.0, 0.5, 1.0), (5.0, 0.5, 0.6)]
+)
+def test_a_level_that_changes_within_the_record_is_not_steady(factor: float, start: float, end: float) -> None:
+    """Rms were 0.43 to 1.7 times that of the record, up to 70 standard deviations off, without a flag."""
+    found = load_spectra(changed_level(random_run(20.0), factor, start, end), RIG, identified(), (15.0, 110.0))
+    assert "Fz" in (found.not_steady or ()) and found.trust == "doubtful"
+    assert any("not steady" in flag for flag in found.to_frame()["flag"])
+    assert found.steadiness_note is not None and "times the rms" in found.steadiness_note
+
+
+@pytest.mark.parametrize("seconds", [6.0, 20.0, 60.0])
+def test_steady_random_loads_are_steady(seconds: float) -> None:
+    assert [spectra_of(seconds, seed).not_steady for seed in range(20, 26)] == [None] * 6

@@ -54,6 +54,12 @@ def test_a_tone_beside_its_frequency_is_flagged(error: float, gusts: float) -> N
     assert any("turns by" in note and f"{TONE + turn.error:.6g} Hz" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("error", [0.03, 0.06, -0.1])
+def test_a_tone_has_no_azimuth_that_could_slip(error: float) -> None:
+    notes = loads_of(record(TONE + error, 0.0)).notes
+    assert notes and not any("azimuth" in note or "pulses" in note for note in notes)
+
+
 def test_a_tone_at_its_frequency_is_not() -> None:
     turns = [tone_turn(record(TONE, 0.2, seed), TONE, (), RIG, source()) for seed in range(40)]
     assert not any(turn.is_significant for turn in turns if turn is not None)

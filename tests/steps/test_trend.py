@@ -46,6 +46,16 @@ def a_point(index, rng, speed=17.5, mean=0.0, recorded=None, redundancy=1.0, **a
     return TrendPoint("loads.h5", loads, 4)
 
 
+@pytest.mark.parametrize(("departure", "varies"), [(1e-14, False), (1e-7, False), (1e-4, True)])
+def test_a_speed_that_differs_by_rounding_alone_has_no_slope(departure, varies):
+    """Slopes of 20 runs at 28.69 Hz were -6e10 N/Hz."""
+    rng = np.random.default_rng(2)
+    points = [a_point(i, rng, speed=28.69 * (1.0 + departure * rng.standard_normal())) for i in range(20)]
+    trends = load_trends(points, attribute_values(points, "speed"))
+    assert all(np.isfinite(item.slope) == varies for item in trends)
+    assert all(np.isfinite(item.intercept) and 0.5 < item.scatter < 2.0 for item in trends)
+
+
 def test_a_slope_lies_within_its_sigma_and_others_are_none():
     rng = np.random.default_rng(1)
     z, p_values = [], []

@@ -34,7 +34,7 @@ from balance_cli.io.version import __version__
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.nyquist_noise import RunNoise
 from balance_cli.signals.response_rows import ResponseRows
-from balance_cli.steps.reduction_inputs import default_harmonics
+from balance_cli.steps.reduction_inputs import default_harmonics, fewer_harmonics_warning
 
 FEWEST_JOURNALED = 8
 """Runs from which a journal is kept; fewer are reduced again in a second."""
@@ -63,7 +63,7 @@ class BatchReduction:
     def reduce(
         self, reduction: Reduction, paths: tuple[Path, ...], zero: Path | None, output: Path
     ) -> tuple[Reduction, Mapping[str, RunLoads]]:
-        """Return the reduction with its harmonics and its zero, and the loads of the check and wind runs by name.
+        """Return the reduction with its zero, and the loads of the check and wind runs by name.
 
         Raises UserError where no run is left, and for the first bad run unless bad runs are skipped.
         """
@@ -118,10 +118,7 @@ class BatchReduction:
         return error
 
     def _complete(self, reduction: Reduction, zero: Path | None) -> Reduction:
-        """Return the reduction with what is the same for all runs: the number of harmonics, and the wind-off record."""
-        method = reduction.method
-        if not method.harmonics and not method.frequencies:
-            reduction = replace(reduction, method=replace(method, harmonics=self._harmonics(reduction)))
+        """Return the reduction with what is the same for all runs: the wind-off record, and what is compared."""
         zeros = [path for path, survey in self.surveys.items() if survey.kind == "zero"] if zero is None else []
         records = tuple(open_matching_run(path, reduction.geometry) for path in zeros)
         self.zero_digests = tuple(run.digest for run in records)
@@ -133,15 +130,6 @@ class BatchReduction:
         comparable = any(survey.kind not in ("wind", "zero") for survey in self.surveys.values())
         compares = comparable and not missing_mechanics(reduction.geometry)
         return replace(reduction, zero=record, compare_runs=compares)
-
-    def _harmonics(self, reduction: Reduction) -> int:
-        """Return the harmonics that all runs permit of those that are the default; a warning where they are fewer."""
-        wanted = default_harmonics(reduction.geometry)
-        run = min(self.surveys.values(), key=lambda survey: survey.harmonics)
-        if run.harmonics < wanted:
-            text = f"{run.harmonics} harmonics in place of {wanted}"
-            self.session.warn(f"{text}: those above are beyond the band of run {run.name}")
-        return run.harmonics
 
     def _reduce_runs(self, pool: WorkerPool, reduction: Reduction, output: Path) -> None:
         selection = [path for path in self._shard() if self._may_have_history(path, reduction)]
@@ -206,11 +194,12 @@ class BatchReduction:
 
     def _item(self, path: Path, reduction: Reduction, data: bytes, journal: Journal[RunResult] | None) -> Item:
         survey = self.surveys[path]
+        item = Item(path, data, harmonics=survey.harmonics)
         if reduction.histories is None or survey.kind not in ROTOR_KINDS:
-            return Item(path, data)
+            return item
         if journal is not None and journal.is_mine:
-            return Item(path, data, journal.history(survey.name))
-        return Item(path, data, self.session.stage_in(reduction.histories, f"{survey.name}.h5"))
+            return replace(item, history=journal.history(survey.name))
+        return replace(item, history=self.session.stage_in(reduction.histories, f"{survey.name}.h5"))
 
     def _may_have_history(self, path: Path, reduction: Reduction) -> bool:
         """Whether the name of a run can be that of its history; else the run is skipped."""
@@ -269,9 +258,20 @@ class BatchReduction:
         for path, error in self.errors.items():
             if str(path) not in self.session.skipped:
                 self._skip(path, error)
+        self._warn_of_fewer_harmonics(reduction)
         for name, loads in self.loads.items():
             for channel, reason in loads.left_out.items():
                 self.session.warn_of_run(name, f"{name}: channel {channel} left out: {reason}")
+
+    def _warn_of_fewer_harmonics(self, reduction: Reduction) -> None:
+        """Warn of the reduced runs that permit fewer harmonics than those that are the default."""
+        wanted, method = default_harmonics(reduction.geometry), reduction.method
+        if method.harmonics or method.frequencies:
+            return
+        for survey in self.surveys.values():
+            if survey.harmonics < wanted and survey.name in self.loads:
+                text = fewer_harmonics_warning(survey.name, survey.harmonics, wanted)
+                self.session.warn_of_run(survey.name, text)
 
     def _compare(self, reduction: Reduction) -> None:
         """Cross-check the runs with known loads, and skip those that contradict the others."""

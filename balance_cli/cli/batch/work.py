@@ -24,16 +24,20 @@ ROTOR_KINDS = ("check", "wind")
 
 @dataclass(frozen=True)
 class Item:
-    """A run file, the reduction (a pickle, the same for all runs), and the file of its history where one is written."""
+    """A run file, the reduction (a pickle, the same for all runs), and the file of its history where one is written.
+
+    `harmonics`: how many are reduced where the reduction does not say it.
+    """
 
     path: Path
     reduction: bytes
     history: Path | None = None
+    harmonics: int = 0
 
 
 @dataclass(frozen=True)
 class RunSurvey:
-    """What decides over a whole batch: name and kind of a run, and the harmonics that it permits."""
+    """What is known of a run before it is reduced: its name and kind, and the harmonics that it permits."""
 
     name: str
     kind: str
@@ -88,7 +92,9 @@ def reduce_file(item: Item) -> RunResult:
     noise = measure_nyquist_noise(run, reduction.geometry.channel_names) if compares_noise else None
     loads, fault = None, None
     try:
-        loads = reduction.reduce_run(run, item.history) if run.kind in ROTOR_KINDS else None
+        loads = (
+            reduction.with_harmonics(item.harmonics).reduce_run(run, item.history) if run.kind in ROTOR_KINDS else None
+        )
     except UserError as error:
         fault = error.with_file_of(run.name, str(item.path))
     return RunResult(

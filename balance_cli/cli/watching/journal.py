@@ -25,7 +25,8 @@ class JournalEntry:
     `file` is the name of the file within the folder, `result` one of the constants above, `reason` says why a file has
     no loads. `inputs` is the digest of the response and the options by which it was reduced. `seconds` went from the
     last change of the file to its loads on the page. `loads` {component: {`mean`, `mean_sigma`, `harmonic`,
-    `amplitude`, `amplitude_sigma`}}.
+    `amplitude`, `amplitude_sigma`}}. `zero` is the zero run that the mean loads count from, empty for
+    none; None: unknown.
     """
 
     time: str
@@ -42,6 +43,7 @@ class JournalEntry:
     warnings: tuple[str, ...] = ()
     seconds: float | None = None
     loads: dict[str, dict[str, Any]] = field(default_factory=dict)
+    zero: str | None = None
 
     @property
     def stamp(self) -> FileStamp:

@@ -13,6 +13,7 @@ from balance_cli.cli.common import Session
 from balance_cli.cli.consistency import require_consistent_runs
 from balance_cli.cli.load_text import blade_harmonic
 from balance_cli.cli.reduce_runs import Reduction
+from balance_cli.cli.watching.zeros import ZeroRun, ZeroRuns
 from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.io.artefacts import Artefact, Input, Provenance
 from balance_cli.io.errors import UserError
@@ -20,8 +21,10 @@ from balance_cli.io.formats import RUN_FORMAT
 from balance_cli.io.sniff import sniff_format
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.steps.reduction_inputs import (
     default_harmonics,
+    fewer_harmonics_warning,
     harmonics_within_band,
     loaded_zero_warning,
     zero_reference,
@@ -44,7 +47,9 @@ class QuickLook:
 
     `harmonics`: None for the default of each run. `has_own_zero`: a zero record was given, so those in the folder are
     not used. `files` {run: file} tells two files with one run name. `run_inputs` {run: digest}. `is_changed`: the loads
-    changed since they were written, for the caller to reset. `zero`: the wind-off record that is used.
+    changed since they were written, for the caller to reset. `zero`: the wind-off record that was given, `zeros` are
+    those of the folder, and `zero_of` {run: zero run or empty} says which served. `outdated`: files of runs that have
+    another zero since it appeared, for the caller to take.
     """
 
     session: Session
@@ -57,9 +62,13 @@ class QuickLook:
     run_inputs: dict[str, Input] = field(default_factory=dict)
     is_changed: bool = False
     zero: Run | None = None
+    zeros: ZeroRuns = field(default_factory=ZeroRuns)
+    zero_of: dict[str, str] = field(default_factory=dict)
+    outdated: list[Path] = field(default_factory=list)
 
-    def restore(self, artefact: Artefact, files: Mapping[str, Path]) -> None:
-        """Take over the loads of an earlier call, of the runs in `files`."""
+    def restore(self, artefact: Artefact, files: Mapping[str, Path], zero_of: Mapping[str, str]) -> None:
+        """Take over the loads of an earlier call, of the runs in `files`, and which zeros served."""
+        self.zero_of = dict(zero_of)
         loads: HubLoads = artefact.content
         self.runs = {name: run for name, run in loads.runs.items() if name in files}
         self.files = {name: path for name, path in files.items() if name in self.runs}
@@ -92,10 +101,15 @@ class QuickLook:
         return loads, new_warnings
 
     def use_zero(self, run: Run) -> None:
-        """Let the mean loads of the following runs count from this wind-off record."""
+        """Let the mean loads of all runs count from this wind-off record."""
         calibration = self.reduction.calibration
         if calibration is not None:
             self.reduction, self.zero = replace(self.reduction, zero=zero_reference([run], calibration)), run
+
+    def restore_zero(self, path: Path) -> None:
+        """Take over a zero run of an earlier call. UserError where it can no longer be read."""
+        if not self.has_own_zero:
+            self._add_zero(open_runs((path,), self.reduction.geometry)[0][0])
 
     def hub_loads(self, names: Iterable[str] | None = None) -> HubLoads:
         """Return the loads of these runs, or of all."""
@@ -139,15 +153,49 @@ class QuickLook:
     def _take_other_kind(self, run: Run) -> None:
         if run.kind == "zero":
             if not self.has_own_zero:
-                self.use_zero(run)
+                self._add_zero(run)
+                self.find_outdated()
             reason = "--zero is used" if self.has_own_zero else "zero of the mean loads"
             raise NoRotorLoadsError(reason, run.name, run.kind)
         raise NoRotorLoadsError(f"a {run.kind} run contains no rotor loads", run.name, run.kind)
 
+    def _add_zero(self, run: Run) -> None:
+        """Let the mean loads of runs count from a zero run."""
+        calibration = self.reduction.calibration
+        self.zeros.add(ZeroRun(run, None if calibration is None else zero_reference([run], calibration)))
+
+    def find_outdated(self) -> None:
+        """Find the runs that have another zero than that which served; one that has been deleted serves on."""
+        there = {"", *(zero.run.name for zero in self.zeros.zeros)}
+        for name, file in self.files.items():
+            conditions = self.runs[name].conditions
+            recorded = None if conditions is None else conditions.recorded
+            served = self.zero_of.get(name)
+            # Without a stated time a zero serves what comes after it.
+            if served not in there or self.reduction.calibration is None or not self.zeros.decide(recorded):
+                continue
+            if self._zero_name(self.zeros.of_time(recorded)) != served:
+                self.outdated.append(file)
+
+    @staticmethod
+    def _zero_name(zero: ZeroRun | None) -> str:
+        return "" if zero is None else zero.run.name
+
+    def _zero_for(self, run: Run) -> tuple[Run | None, ZeroRecord | None]:
+        """Return the zero run of a run, and what its mean loads count from."""
+        if self.has_own_zero:
+            return self.zero, self.reduction.zero
+        zero = self.zeros.of_time(run.recorded)
+        self.zero_of[run.name] = self._zero_name(zero)
+        if self.reduction.calibration is not None and (other := self.zeros.warning(run.name, run.recorded)):
+            self.session.warn(other)
+        return (None, None) if zero is None else (zero.run, zero.record)
+
     def _reduction_of(self, run: Run) -> Reduction:
         """Return the reduction with the harmonics that this run permits, without a zero that it shows to be loaded."""
-        reduction = self.reduction
-        if self.zero is not None and (loaded := loaded_zero_warning([self.zero], run)):
+        zero, record = self._zero_for(run)
+        reduction = replace(self.reduction, zero=record)
+        if record is not None and zero is not None and (loaded := loaded_zero_warning([zero], run)):
             self.session.warn(loaded)
             reduction = replace(reduction, zero=None)
         if self.harmonics is not None:
@@ -155,5 +203,5 @@ class QuickLook:
         wanted = default_harmonics(self.reduction.geometry)
         harmonics = harmonics_within_band(run, self.reduction.source, wanted)
         if harmonics < wanted:
-            self.session.warn(f"{run.name}: {harmonics} harmonics in place of {wanted}: its band ends there")
+            self.session.warn(fewer_harmonics_warning(run.name, harmonics, wanted))
         return replace(reduction, method=replace(reduction.method, harmonics=harmonics))

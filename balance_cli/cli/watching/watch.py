@@ -70,14 +70,30 @@ class Watch:
         reduced = {entry.run: self.folder.path / entry.file for entry in entries.values() if entry.result == REDUCED}
         path = self.output / LOADS_NAME
         if reduced and path.is_file():
-            self.quick_look.restore(load_artefact(path, {LOADS_FORMAT: HubLoads}), reduced)
+            zero_of = {entry.run: entry.zero for entry in entries.values() if entry.zero is not None}
+            self.quick_look.restore(load_artefact(path, {LOADS_FORMAT: HubLoads}), reduced, zero_of)
         for entry in entries.values():
             if entry.result != REDUCED or entry.run in self.quick_look.runs:
                 self.folder.known[self.folder.path / entry.file] = entry.stamp
                 self.results[entry.file] = entry.result
-        zeros = [entry for entry in entries.values() if entry.kind == "zero"]
-        if zeros:  # the newest is read again
-            del self.folder.known[self.folder.path / max(zeros, key=lambda entry: entry.modified).file]
+        zeros = [entry for entry in entries.values() if entry.kind == "zero" and entry.result == LEFT_OUT]
+        for entry in sorted(zeros, key=lambda entry: entry.modified):
+            self._restore_zero(self.folder.path / entry.file)
+        self.quick_look.find_outdated()
+        self._take_outdated()
+
+    def _restore_zero(self, path: Path) -> None:
+        """Take over a zero run; one that cannot be read is examined again."""
+        try:
+            self.quick_look.restore_zero(path)
+        except UserError:
+            self.folder.mark_not_done(path)
+
+    def _take_outdated(self) -> None:
+        """Let the runs that have another zero now be reduced again."""
+        for path in self.quick_look.outdated:
+            self.folder.mark_not_done(path)
+        self.quick_look.outdated.clear()
 
     def summary(self) -> dict[str, Any]:
         """Return the keys `files` {file: result}, `loads` and `page` (null where no run was reduced)."""
@@ -117,6 +133,7 @@ class Watch:
         identity = (now, path.name, stamp.size, stamp.modified, self._inputs_digest())
         try:
             loads, warnings = self.quick_look.add_file(path)
+            verdict, numbers = run_verdict(loads).sentence, self.quick_look.summarize(loads)
         except NoRotorLoadsError as other:
             entry = JournalEntry(*identity, LEFT_OUT, other.run, other.kind, reason=str(other))
         except UserError as error:
@@ -129,11 +146,13 @@ class Watch:
         else:
             entry = replace(
                 JournalEntry(*identity, REDUCED, loads.run, loads.kind),
-                verdict=run_verdict(loads).sentence,
+                verdict=verdict,
                 flags=loads.flag_counts,
                 warnings=warnings,
-                loads=self.quick_look.summarize(loads),
+                loads=numbers,
+                zero=self.quick_look.zero_of.get(loads.run),
             )
+        self._take_outdated()
         self.results[path.name] = entry.result
         self._show(entry)
         return (entry,)
@@ -142,6 +161,9 @@ class Watch:
         """Report what became of a file, with the loads of its run."""
         if entry.result == SKIPPED:
             self.session.report_skipped(entry.file, entry.reason)
+        elif entry.result == LEFT_OUT and entry.kind == "zero":
+            self.session.echo(f"{entry.file}: {entry.reason}")
+            self.session.record_left_out(entry.file, entry.reason)
         elif entry.result == LEFT_OUT:
             self.session.report_left_out(entry.file, entry.reason)
         else:

@@ -94,6 +94,7 @@ def _common_ratio(level: RunNoise, usual: UsualNoise, channel_names: tuple[str, 
 def _describe(ratios: Mapping[str, float]) -> ConsistencyFinding:
     ratio = float(np.median([*ratios.values()]))
     text = f"all channels have {ratio:.3g} times the noise that they have in the runs with known loads"
-    return ConsistencyFinding(
-        NOISE_LEVEL, WARNING, f"{text}: another gain, unit or filter?", tuple(ratios), factor=float(f"{ratio:.3g}")
-    )
+    cause = "another gain, unit or filter?"
+    if ratio > 1.0:
+        cause += " Noise of drive or flow, which changes no load, looks the same"
+    return ConsistencyFinding(NOISE_LEVEL, WARNING, f"{text}: {cause}", tuple(ratios), factor=float(f"{ratio:.3g}"))

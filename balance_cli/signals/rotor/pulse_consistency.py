@@ -167,7 +167,9 @@ def coverage_fault(run: Run) -> str:
     duration = run.samples / sample_rate(run)
     first, last = float(run.pulse_times[0]), float(run.pulse_times[-1])
     longest_interval = float(np.diff(run.pulse_times).max())
-    covered = first <= UNCOVERED_SHARE * duration and duration - last <= UNCOVERED_SHARE * duration
+    # The revolutions at either end are not whole: of a record of few of them they are a large share.
+    usual = max(UNCOVERED_SHARE * duration, longest_interval)
+    covered = first <= usual and duration - last <= usual
     if covered and last - duration <= longest_interval:
         return ""
     return f"the pulses cover {first:.4g} to {last:.4g} s of a record of {duration:.4g} s at {sample_rate(run):g} Hz"

@@ -6,6 +6,7 @@ from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults, speed_fault
+from balance_cli.signals.rotor.record_length import revolution_faults
 from balance_cli.signals.rotor.spectral_floor import local_maxima
 
 SPEED, RATE, DURATION = 11.0, 500.0, 40.0
@@ -115,3 +116,16 @@ def test_several_pulses_a_revolution_are_found_though_the_stated_speed_is_theirs
 def test_a_rotor_may_turn_at_twice_its_declared_speed():
     for orders in ((1, 2, 3, 4, 6), (1, 2, 3, 4.5, 5, 6), ()):
         assert list(pulse_faults(record(orders=orders), 0.5 * SPEED)) == []
+
+
+@pytest.mark.parametrize("first", [0.05, 0.95])
+def test_a_record_of_few_revolutions_is_short_and_has_no_wrong_rate(first):
+    """The partial revolution at its start was a quarter of the record: `sample_rate` was to be checked."""
+    run = record()
+    samples, start = int(3.6 / SPEED * RATE), first / SPEED
+    channels = MemorySource(np.asarray(run.read(0, samples).channels), None)
+    pulses = np.arange(start, samples / RATE, 1.0 / SPEED)
+    short = replace(run, samples=samples, source=channels, pulse_times=pulses)
+    assert list(pulse_faults(short)) == []
+    (fault,) = revolution_faults(short)
+    assert "revolutions; at least 10 are needed" in fault.fault
