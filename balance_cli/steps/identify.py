@@ -258,11 +258,13 @@ def _parameter_table(
     model: BalanceModel, theta: Array, covariance: Array, informed_by: tuple[str, ...]
 ) -> ParameterTable:
     parameters = model.parameters
+    sigma = np.sqrt(np.diag(_expand_covariance(model, covariance)))
     return ParameterTable(
         names=parameters.names,
         units=parameters.units,
         value=theta,
-        sigma=np.sqrt(np.diag(_expand_covariance(model, covariance))),
+        # Of a free one that changes nothing in these data the covariance is zero, but it is not known exactly.
+        sigma=np.where(parameters.free & (sigma == 0.0), parameters.scale, sigma),
         declared=parameters.value,
         declared_sigma=parameters.sigma,
         informed_by=informed_by,
