@@ -8,6 +8,7 @@ gains of single series tell which one is. Series are therefore left out, one by 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -53,42 +54,68 @@ def contradicted_series(points: CalibrationPoints, choice: TermChoice) -> tuple[
     Straight lines tell most; where a balance curves as much as a series errs, squares and products do, in long tables.
     """
     used = points.weight > 0
-    names = np.unique(points.load_series[used]).tolist()
+    names = np.unique(points.load_series[used])
     sizes = [1] * (len(names) >= MIN_SERIES) + [2] * (MIN_SERIES_OF_TWO <= len(names) <= MAX_SERIES_OF_TWO)
     k = len(points.components)
+    if not sizes:
+        return ()
     for terms in (linear_terms(k), (*linear_terms(k), *(term for term in all_terms(k) if term.is_quadratic))):
         columns = term_values(terms, points.x)
+        sums = _sums(points, columns, names)
         for size in sizes:
-            found, misfit = _clearly_best(points, columns, combinations(names, size))
-            rows = tuple(used & (points.load_series == name) for name in found)
+            found, misfit = _clearly_best(sums, np.array(list(combinations(range(len(names)), size))))
+            rows = tuple(used & (points.load_series == names[place]) for place in found)
             if rows and all(_is_far_off(points, columns, each, rows, misfit) for each in rows):
                 return () if _is_explained(points, choice, misfit) else rows
     return ()
 
 
-def _clearly_best(
-    points: CalibrationPoints, columns: Array, sets: Iterable[tuple[int, ...]]
-) -> tuple[tuple[int, ...], float]:
-    """The set of load series without which the others agree far better than without any other set, and that misfit."""
-    used = points.weight > 0
-    misfit = {each: _misfit(points, columns, used & ~np.isin(points.load_series, each)) for each in sets}
-    known = sorted((value, left_out) for left_out, value in misfit.items() if np.isfinite(value))
+@dataclass(frozen=True)
+class _Sums:
+    """Of each of s load series, about its means: X'X (s, p, p), X'Y (s, p, c), the squares of Y (s,), rows (s,).
+
+    A fit without some series follows from the sums of the others.
+    """
+
+    gram: Array
+    cross: Array
+    square: Array
+    rows: Index
+
+    def misfit(self, left_out: Index) -> Array:
+        """Rms (n,) of what fits without each of n sets (n, size) of series leave, over ranges; inf with few rows."""
+        gram, cross, square, rows = (
+            part.sum(axis=0) - part[left_out].sum(axis=1) for part in (self.gram, self.cross, self.square, self.rows)
+        )
+        p, c = cross.shape[1:]
+        dof = rows - (len(self.rows) - left_out.shape[1]) - p
+        singular = np.sqrt(np.maximum(np.linalg.eigvalsh(gram), 0.0))
+        is_known = (dof >= max(MIN_DOF, p)) & (singular[:, 0] >= LEAST_PREDICTED * singular[:, -1])
+        solvable = np.where(is_known[:, None, None], gram, np.eye(p))
+        left = square - np.sum(cross * np.linalg.solve(solvable, cross), axis=(1, 2))
+        return np.where(is_known, np.sqrt(np.maximum(left, 0.0) / (np.maximum(dof, 1) * c)), np.inf)
+
+
+def _sums(points: CalibrationPoints, columns: Array, names: Index) -> _Sums:
+    """The sums of each load series of the used rows."""
+    parts = [_centered(points, columns, (points.weight > 0) & (points.load_series == name)) for name in names]
+    return _Sums(
+        gram=np.array([x.T @ x for x, _, _ in parts]),
+        cross=np.array([x.T @ y for x, y, _ in parts]),
+        square=np.array([np.sum(y**2) for _, y, _ in parts]),
+        rows=np.array([len(x) for x, _, _ in parts]),
+    )
+
+
+def _clearly_best(sums: _Sums, sets: Index) -> tuple[tuple[int, ...], float]:
+    """The set (of n, size) of series without which the others agree far better than without any other; its misfit."""
+    misfit = sums.misfit(sets)
+    order = np.argsort(misfit)
     # Where most series are needed to tell some load, there are no others that could agree.
-    if len(known) < 2 or 2 * len(known) <= len(misfit):
+    if np.count_nonzero(np.isfinite(misfit)) < max(2, len(misfit) // 2 + 1):
         return (), np.inf
-    return (known[0][1] if known[1][0] >= CLEAR_RATIO * known[0][0] else ()), known[0][0]
-
-
-def _misfit(points: CalibrationPoints, columns: Array, rows: Mask) -> float:
-    """Rms of what a fit of columns (m, p) leaves in some rows (m,), over the ranges of the channels; inf with few."""
-    x, y, series = _centered(points, columns, rows)
-    dof = len(x) - len(np.unique(series)) - x.shape[1]
-    if dof < max(MIN_DOF, x.shape[1]):
-        return np.inf
-    coefficients, _, _, singular = np.linalg.lstsq(x, y, rcond=None)
-    if singular[-1] < LEAST_PREDICTED * singular[0]:
-        return np.inf
-    return float(np.sqrt(np.sum((y - x @ coefficients) ** 2) / (dof * y.shape[1])))
+    best, second = misfit[order[:2]]
+    return (tuple(map(int, sets[order[0]])) if second >= CLEAR_RATIO * best else ()), float(best)
 
 
 def _is_far_off(points: CalibrationPoints, columns: Array, rows: Mask, left_out: Iterable[Mask], misfit: float) -> bool:
