@@ -35,6 +35,9 @@ INTERACTION_SHARE = 0.2
 ten degrees applies 17 %."""
 SIGNIFICANT = 5.0
 """Error of a known load over its standard deviation from which it contradicts: no load of a sound campaign has it."""
+STEADY_SPEED, SPEEDS = 1e-3, 1024
+"""Relative standard deviation of the speed, at so many times, up to which turbulence is told from the harmonics. At 1 %
+and 0.3 Hz the sidebands of harmonics a million times the noise rang the modes of a sound rig."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,7 @@ def flag_beyond_sweeps(loads: RunLoads, source: ResponseSource) -> RunLoads:
 
 def flag_by_turbulence(loads: RunLoads, record: RotorRecord, geometry: Geometry, source: ResponseSource) -> RunLoads:
     """Return the loads of a wind run with those flagged that modes make wrong, which turbulence shows elsewhere."""
-    if record.run.kind != "wind" or source.system is None:
+    if record.run.kind != "wind" or source.system is None or _speed_varies(record):
         return loads
     from balance_cli.reduction.moved_modes import NOTABLE_SHARE, moved_modes
     from balance_cli.reduction.operational_modes import operational_modes
@@ -132,6 +135,13 @@ def flag_by_turbulence(loads: RunLoads, record: RotorRecord, geometry: Geometry,
     wrong = moved.error_share(loads.frequency_hz) > NOTABLE_SHARE
     rows = np.repeat(wrong[:, None], loads.amplitude.shape[1], axis=1)
     return loads.with_flag(MODEL_CONTRADICTED, moved.sentence, where=rows)
+
+
+def _speed_varies(record: RotorRecord) -> bool:
+    """Whether the speed varies so much that sidebands of the harmonics ring modes as turbulence does."""
+    azimuth, (begin, end) = record.azimuth, record.spectra.interval
+    speed = azimuth.speed(np.linspace(max(begin, azimuth.first), min(end, azimuth.last), SPEEDS))
+    return bool(np.std(speed) > STEADY_SPEED * np.mean(speed))
 
 
 def _wrong_components(loads: RunLoads, contradicted: Collection[str]) -> Mask:
