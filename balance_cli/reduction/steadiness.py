@@ -14,6 +14,7 @@ from balance_cli.reduction.free_decays import rig_eigenvalues
 from balance_cli.reduction.harmonic_loads import window_harmonic_loads, window_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
+from balance_cli.reduction.slow_changes import material_change, slow_changes
 from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change, harmonic_drift
 from balance_cli.signals.rotor.common_change import CommonChange, changes_of_columns, common_change
 from balance_cli.signals.rotor.steadiness import (
@@ -26,18 +27,6 @@ from balance_cli.signals.rotor.steadiness import (
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-MATERIAL_SHARE = 0.05
-"""Change of a mean load, as a share of its size or that of its largest harmonic, from which the mean over the record
-is no operating point.
-
-A balance engineer repeats a point whose load moved by a few per cent; smaller drifts are the tunnel's own.
-"""
-MATERIAL_SHARE_OF_HARMONIC = 0.5
-"""The same for the amplitude of a harmonic, which follows the rotor speed and gusts much more than the mean does."""
-MATERIAL_SHARE_OF_LARGEST = 0.1
-"""A harmonic below this share of the largest one of its component is too small for its drift to matter."""
-
 
 START_TIME_CONSTANTS = 3.0
 """Time constants of the slowest mode after which the start of a record is compared: 5 % of a load that was applied at
@@ -65,13 +54,15 @@ class Steadiness:
     """Which loads (n+1, m) of a record step or drift within it, and `note`, why where all do; empty without.
 
     `mean_change` (m,) is by how much the mean loads do so, if one does by more than chance; it may be immaterial.
-    `harmonic_error` (n, m) is by how much such changes make the harmonics uncertain, zero where they do not.
+    `harmonic_error` (n, m) is by how much such changes make the harmonics uncertain, zero where they do not; `passing`
+    names those near which a tone or the like passes.
     """
 
     unsteady: NDArray[np.bool_]
     note: str = ""
     mean_change: Array | None = None
     harmonic_error: Array | None = None
+    passing: str = ""
 
 
 def examine_steadiness(
@@ -93,9 +84,7 @@ def examine_steadiness(
     taken out; without, that at the speed of each window counts, from which a light mode departs.
     """
     n = len(record.spectra.frequency_hz) - 1
-    revolutions = (_first_revolution(record, source), record.spectra.revolutions[1])
-    windows = windowed_amplitudes(record.run, record.azimuth, record.health.live, n, revolutions)
-    windows = _without_start_up(windows, float(record.spectra.frequency_hz[1]))
+    windows = _windows_at_speed(record, source)
     if not len(windows.values):
         return Steadiness(np.zeros(sigma.shape, bool))
     loads = np.zeros((len(windows.values), *sigma.shape), complex)
@@ -121,7 +110,9 @@ def examine_steadiness(
     note = _change_of_all(within, windows, start, lambda window: first + window * duration, record, geometry)
     whole = _reported(within[:, 1:], windows, reported)
     error = harmonic_drift(within[:, 1:], whole, sigma[1:], bool(mean_change.any()))
-    return Steadiness(is_unsteady | bool(note), note, mean_change, error)
+    slow = slow_changes(record, geometry, source, within[:, 1:], sigma[1:], constant_response)
+    is_unsteady[1:] |= slow.material
+    return Steadiness(is_unsteady | bool(note), note, mean_change, np.maximum(error, slow.error), slow.note)
 
 
 def _reported(values: ComplexArray, windows: WindowedAmplitudes, reported: ComplexArray) -> ComplexArray:
@@ -241,8 +232,11 @@ def _first_revolution(record: RotorRecord, source: ResponseSource) -> int:
     return min(most, int(np.searchsorted(record.azimuth.time_of(np.arange(most + 1)), start)))
 
 
-def _without_start_up(windows: WindowedAmplitudes, speed: float) -> WindowedAmplitudes:
-    """Return the windows from the first on at which the rotor has its speed [Hz]."""
+def _windows_at_speed(record: RotorRecord, source: ResponseSource) -> WindowedAmplitudes:
+    """Return the windows of a record that can be compared, from the first on at which the rotor has its speed."""
+    n, speed = len(record.spectra.frequency_hz) - 1, float(record.spectra.frequency_hz[1])
+    revolutions = (_first_revolution(record, source), record.spectra.revolutions[1])
+    windows = windowed_amplitudes(record.run, record.azimuth, record.health.live, n, revolutions)
     at_speed = np.flatnonzero(np.abs(windows.speed / speed - 1.0) < START_UP_SHARE)
     first = int(at_speed[0]) if at_speed.size else 0
     return replace(windows, values=windows.values[first:], speed=windows.speed[first:])
@@ -250,13 +244,4 @@ def _without_start_up(windows: WindowedAmplitudes, speed: float) -> WindowedAmpl
 
 def _least_change(sigma: Array, loads: ComplexArray) -> Array:
     """Return a third of the change (n+1, m) of loads (w, n+1, m) that matters, at least sigma."""
-    return np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0)
-
-
-def _material_change(size: Array) -> Array:
-    """Return the change (n+1, m) of loads of this size that matters."""
-    change = np.maximum(
-        MATERIAL_SHARE_OF_HARMONIC * size, MATERIAL_SHARE_OF_LARGEST * size[1:].max(axis=0, initial=0.0)
-    )
-    change[0] = MATERIAL_SHARE * size.max(axis=0)
-    return np.asarray(change)
+    return np.maximum(sigma, material_change(np.abs(loads.mean(axis=0))) / 3.0)

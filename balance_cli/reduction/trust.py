@@ -75,6 +75,7 @@ class Trust:
     suspect_note: str = ""
     mean_change: Array | None = None
     harmonic_error: Array | None = None
+    passing_note: str = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -83,7 +84,7 @@ class Trust:
         channels = f"{self.wrong_channels}: undone, {self.evidence}" if self.wrong_channels else ""
         lines = (line.explain(n, self.regressed) + _remedy(line) for line in self.lines)
         pairs = (pair.description for pair in self.pairs)
-        return (*filter(None, [channels, *lines, *pairs, self.suspect_note, self.steadiness_note]),)
+        return (*filter(None, [channels, *lines, *pairs, self.suspect_note, self.steadiness_note, self.passing_note]),)
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -167,6 +168,7 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
         suspect_note=suspect,
         mean_change=content.steadiness.mean_change,
         harmonic_error=content.steadiness.harmonic_error,
+        passing_note=content.steadiness.passing,
     )
 
 
@@ -185,10 +187,12 @@ def _nonperiodic_content(reduced: ReducedRecord) -> NonperiodicContent:
     record, geometry, source = reduced.record, reduced.geometry, reduced.source
     lines, reported = lines_of_record(record, source), reduced.solution.loads
     steadiness = examine_steadiness(record, geometry, source, reduced.static, reduced.sigma, reported)
-    if all(line.turns_with_rotor for line in lines) and not steadiness.unsteady[1:].any():
+    is_found = not all(line.turns_with_rotor for line in lines) or bool(steadiness.unsteady[1:].any())
+    error = steadiness.harmonic_error
+    if not is_found and (error is None or not error.any()):
         return NonperiodicContent(lines, steadiness)
     even = at_constant_speed(record, geometry, source)
-    if even is None:
+    if even is None or (even is record and not is_found):
         return NonperiodicContent(lines, steadiness)
     constant_response = reduced.response if even is not record else None
     return NonperiodicContent(

@@ -61,8 +61,15 @@ MATERIAL_CHANGE = 3.0
 
 A smaller change is covered by the uncertainty that the load carries anyway.
 """
+WINDOWS_PER_TAPER, MOST_TAPERS = 5, 6
+"""Windows of a record for each taper, and tapers at most: six see as many lines on either side of the harmonic as the
+taper of the noise leaves out there."""
+SLOW_FALSE_ALARM = 1e-6
+"""Probability by which steady amplitudes of known noise show such a change: records have hundreds of them."""
 WINDOWED_SAMPLES = 2**17
 """Samples that are read at a time: with the basis of eight harmonics 35 MB, as other arrays of a long record take."""
+SAMPLES_PER_HARMONIC = 4
+"""Samples of a window for each harmonic of its regression: twice its coefficients."""
 LEAST_EIGENVALUE = 1e-8
 """Of the normal equations of a window, over the largest: they then leave eight digits, else least squares by singular
 values are taken."""
@@ -82,18 +89,23 @@ class WindowedAmplitudes:
 
 
 def windowed_amplitudes(
-    run: Run, azimuth: Azimuth, names: Sequence[str], n: int, revolutions: tuple[int, int]
+    run: Run, azimuth: Azimuth, names: Sequence[str], n: int, revolutions: tuple[int, int], regressed: int = 0
 ) -> WindowedAmplitudes:
-    """Regress harmonics 0 to `n` of the named channels on azimuth, window by window, from one revolution to another."""
+    """Regress harmonics 0 to `n` of the named channels on azimuth, window by window, from one revolution to another.
+
+    Those up to `regressed` are in the regression, as far as the samples of a window tell them: what is left out leaks.
+    """
     first, last = revolutions
     length = max(1, -(-(last - first) // TARGET_WINDOWS))
     edges = np.arange(first, last + 1, length)
     times = azimuth.time_of(edges)
     samples = np.ceil(times * sample_rate(run)).astype(int)
+    shortest = int(np.diff(samples).min(initial=run.samples))
+    fitted = max(n, min(regressed, shortest // SAMPLES_PER_HARMONIC))
     together = max(WINDOWED_SAMPLES * (len(edges) - 1) // max(int(samples[-1] - samples[0]), 1), 1)
     groups = [samples[start : start + together + 1] for start in range(0, len(edges) - 1, together)]
     values = [np.zeros((0, n + 1, len(names)), complex)]
-    values += [_amplitudes_of_group(run, azimuth, names, n, group.tolist()) for group in groups]
+    values += [_amplitudes_of_group(run, azimuth, names, fitted, group.tolist())[:, : n + 1] for group in groups]
     return WindowedAmplitudes(np.concatenate(values), tuple(names), length / np.diff(times), length)
 
 
@@ -210,3 +222,34 @@ def largest_change(series: Array | ComplexArray) -> Array:
     first = before[k - 1] / k.reshape(shape)
     second = (before[-1] - before[k - 1]) / (count - k).reshape(shape)
     return np.asarray(np.abs(first - second).max(axis=0))
+
+
+def slow_change_error(values: ComplexArray, sigma: Array, dof: Array) -> Array:
+    """Return the standard deviation (...) that slow changes of amplitudes (w, ...) leave in their mean.
+
+    A tone that drifts through a harmonic is a line neither beside it nor at it. The noise of a harmonic comes from
+    lines farther out, and lines that rise toward it are left out there, as those of an amplitude that follows the rotor
+    speed. The mean of windows has the noise of their spectrum at rest. Sine tapers (Riedel and Sidorenko, IEEE Trans.
+    Signal Process. 43, 1995, 188) weigh the whole record alike: the tone may pass at any time of it.
+
+    `sigma` (...) is that of a real component of the mean by other lines, known by `dof` (...) complex degrees of
+    freedom. It is zero where that explains the changes. A change along a straight line, as of the operating point, is
+    left to other tests.
+    """
+    count = len(values)
+    if count < FEWEST_WINDOWS:
+        return np.zeros(values.shape[1:])
+    tapers = _tapers(count)
+    power = np.sum(np.abs(np.tensordot(tapers, values, 1)) ** 2, axis=0)
+    directions = float(np.sum(tapers**2))
+    variance = power / (2.0 * directions * count)
+    limit = stats.f.isf(SLOW_FALSE_ALARM, 2.0 * directions, 2.0 * np.maximum(dof, 1.0))
+    return np.asarray(np.where(variance > limit * sigma**2, np.sqrt(variance), 0.0))
+
+
+def _tapers(count: int) -> Array:
+    """Return sine tapers (k, count) without their parts along a constant and a straight line."""
+    place = np.arange(1, count + 1) / (count + 1)
+    tapers = np.sin(np.pi * np.outer(np.arange(1, 1 + min(count // WINDOWS_PER_TAPER + 2, MOST_TAPERS)), place))
+    line = np.linalg.qr(np.stack([np.ones(count), place], axis=1))[0]
+    return np.asarray((tapers - tapers @ line @ line.T) * np.sqrt(2.0 / (count + 1)))
