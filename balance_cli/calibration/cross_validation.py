@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import LeastSquares
+from balance_cli.calibration.projection import Projection, RowGroups
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -18,22 +18,27 @@ MIN_LEFT = 1e-6
 """Least eigenvalue of 1 - H from which the other rows determine those that are left out."""
 
 
-def prediction_errors(fit: LeastSquares, load_series: Index) -> Array:
-    """Errors (m,) of the rows of a fit to one output, predicted without their load series.
+def parts_of_rows(load_series: Index) -> RowGroups | tuple[Index, ...]:
+    """What is left out in turn: whole load series (m,), or with fewer than MIN_SERIES of them consecutive rows."""
+    if len(np.unique(load_series)) >= MIN_SERIES:
+        return RowGroups.from_labels(load_series)
+    return tuple(np.array_split(np.arange(len(load_series)), min(FOLDS, len(load_series))))
+
+
+def prediction_errors(fit: Projection, parts: RowGroups | tuple[Index, ...]) -> Array:
+    """Errors (m,) of the rows of a fit to one output, predicted without the others of their `parts_of_rows`.
 
     With fewer than MIN_SERIES series, or where the others do not determine a term of a series, its rows are predicted
     without the consecutive rows around them, and where that is not possible either, without the row itself.
     """
-    errors = np.full(len(load_series), np.nan)
-    if len(np.unique(load_series)) >= MIN_SERIES:
-        errors = fit.cross_validation_errors(load_series)[:, 0]
+    if isinstance(parts, RowGroups):
+        errors = fit.errors_without(parts)[:, 0]
     else:
-        for rows in np.array_split(np.arange(len(load_series)), min(FOLDS, len(load_series))):
-            errors[rows] = _errors_without(fit, rows)
+        errors = np.concatenate([_errors_without(fit, rows) for rows in parts])
     return np.where(np.isfinite(errors), errors, fit.press_residuals[:, 0])
 
 
-def _errors_without(fit: LeastSquares, rows: Index) -> Array:
+def _errors_without(fit: Projection, rows: Index) -> Array:
     """Errors (r,) of some rows predicted by all others; NaN where these do not determine them."""
     root = np.sqrt(fit.weight[rows])
     same = fit.block[rows][:, None] == fit.block[rows]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.block_zeros import BlockZeros
 from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, weighted_rms
-from balance_cli.calibration.load_series import describe_load_series
+from balance_cli.calibration.load_series import describe_all_series
 from balance_cli.calibration.load_series_reading import SeriesReading, read_load_series
 from balance_cli.calibration.load_series_score import ScheduleRows
 from balance_cli.calibration.math_model import CalibrationModel
@@ -154,8 +154,10 @@ def _fixed_terms(points: CalibrationPoints, choice: TermChoice, terms: Sequence[
     Raises UserError where the rows do not determine so many coefficients.
     """
     terms_by_channel = []
+    # A list can name terms by channel; else all have the same, found once.
+    of_all = None if choice.by_channel else choice.of_channel("", points.components)
     for channel in points.channel_names:
-        own = choice.of_channel(channel, points.components)
+        own = choice.of_channel(channel, points.components) if of_all is None else of_all
         terms_by_channel.append(tuple(place for place, term in enumerate(terms) if term in own))
     rows, zeros = int(np.count_nonzero(points.weight > 0)), len(np.unique(points.load_series[points.weight > 0]))
     most = max(map(len, terms_by_channel))
@@ -173,12 +175,16 @@ def refit_terms(points: CalibrationPoints, model: CalibrationModel) -> Calibrati
 
 @dataclass(frozen=True)
 class ChannelFits:
-    """Fits of all channels, each with its selected columns of X (m, p), to the m rows `used` of the points."""
+    """Fits of all channels, each with its selected columns of X (m, p), to the m rows `used` of the points.
+
+    `groups`: the channels of each of the `fits`, which have the same columns.
+    """
 
     points: CalibrationPoints
     used: NDArray[np.bool_]
     X: Array
     selected: tuple[tuple[int, ...], ...]
+    groups: tuple[tuple[int, ...], ...]
     fits: tuple[LeastSquares, ...]
 
     @cached_property
@@ -192,8 +198,8 @@ class ChannelFits:
         return np.asarray(self.points.weight[self.used])
 
     def stack(self, values: Callable[[LeastSquares], Array]) -> Array:
-        """One column (m, c) per channel of what `values` takes (m, 1) from its fit."""
-        return np.column_stack([values(fit)[:, 0] for fit in self.fits])
+        """One column (m, c) per channel of what `values` takes (m, g) from the fit of its group."""
+        return np.hstack([values(fit) for fit in self.fits])[:, np.argsort(np.concatenate(self.groups))]
 
 
 def _fit_terms(
@@ -205,11 +211,13 @@ def _fit_terms(
     """Fit each channel with its selected terms, given as indices into `terms`."""
     used = points.weight > 0
     X, load_series, w = term_values(terms, points.x[used]), points.load_series[used], points.weight[used]
+    by_terms = {terms: tuple(c for c, own in enumerate(channel_terms) if own == terms) for terms in channel_terms}
     fits = tuple(
-        solve_least_squares(X[:, list(selected)], points.channels[used][:, [c]], load_series, w)
-        for c, selected in enumerate(channel_terms)
+        solve_least_squares(X[:, list(selected)], points.channels[used][:, list(group)], load_series, w)
+        for selected, group in by_terms.items()
     )
-    fit = assemble_fit(ChannelFits(points, used, X, tuple(channel_terms), fits), terms, unsupported)
+    channels = ChannelFits(points, used, X, tuple(channel_terms), tuple(by_terms.values()), fits)
+    fit = assemble_fit(channels, terms, unsupported)
     model, growth = lack_of_fit_model(fit.model, fit.residuals[used], w, points.x[used], load_series)
     return replace(fit, model=model, zero_covariance=fit.zero_covariance * growth[:, None, None])
 
@@ -219,7 +227,7 @@ def assemble_fit(channels: ChannelFits, terms: Sequence[Term], unsupported: dict
     points, w, names = channels.points, channels.weight, channels.points.components
     residuals, press = channels.stack(lambda fit: fit.residuals), channels.stack(lambda fit: fit.press_residuals)
     left_out = channels.stack(lambda fit: fit.cross_validation_errors(channels.load_series))
-    dof = np.array([fit.dof for fit in channels.fits], float)
+    dof = channels.stack(lambda fit: np.full((1, fit.residuals.shape[1]), float(fit.dof)))[0]
     zeros, zero_covariance = _series_zeros(channels)
     model = CalibrationModel(
         channel_names=points.channel_names,
@@ -231,7 +239,9 @@ def assemble_fit(channels: ChannelFits, terms: Sequence[Term], unsupported: dict
         dof=dof,
         press=weighted_rms(press, w),
         cross_validation_rms=weighted_rms(left_out, w),
-        load_series=_series_descriptions(points),
+        load_series=describe_all_series(
+            points.load_series, points.weight > 0, points.run, points.run_names, names, points.x
+        ),
         zeros=zeros,
         zero_sigma=np.sqrt(np.diagonal(zero_covariance, axis1=1, axis2=2)).T,
         largest_load=points.loads[channels.used].max(axis=0),
@@ -250,16 +260,16 @@ def _terms_in_model(channels: ChannelFits) -> list[int]:
 def _coefficient_tables(channels: ChannelFits) -> dict[str, Array]:
     """Coefficients and what is known of them, by the field of CalibrationModel, for the p terms of the model."""
     place = {term: i for i, term in enumerate(_terms_in_model(channels))}
-    p, c = len(place), len(channels.fits)
+    p, c = len(place), len(channels.selected)
     tables = {name: np.full((p, c), np.nan) for name in ("t", "p_value", "variance_inflation")}
     coefficients, covariance = np.zeros((p, c)), np.zeros((c, p, p))
-    for channel, (selected, fit) in enumerate(zip(channels.selected, channels.fits, strict=True)):
-        at = [place[term] for term in selected]
-        coefficients[at, channel] = fit.coefficients[:, 0]
-        covariance[channel][np.ix_(at, at)] = fit.inverse * fit.variance[0]
-        tables["t"][at, channel] = fit.t[:, 0]
-        tables["p_value"][at, channel] = fit.p_value[:, 0]
-        tables["variance_inflation"][at, channel] = fit.variance_inflation
+    for group, fit in zip(channels.groups, channels.fits, strict=True):
+        at = np.array([place[term] for term in channels.selected[group[0]]], np.intp)
+        own = np.array(group, np.intp)
+        cells = np.ix_(at, own)
+        coefficients[cells], tables["t"][cells], tables["p_value"][cells] = fit.coefficients, fit.t, fit.p_value
+        tables["variance_inflation"][cells] = fit.variance_inflation[:, None]
+        covariance[np.ix_(own, at, at)] = fit.variance[:, None, None] * fit.inverse
     return {"coefficients": coefficients, "covariance": covariance, **tables}
 
 
@@ -271,26 +281,11 @@ def _series_zeros(channels: ChannelFits) -> tuple[Array, Array]:
     blocks = BlockZeros.from_blocks(channels.load_series, channels.weight)
     M = blocks.means(channels.X * blocks.root[:, None])
     share = np.diag(1.0 / blocks.total)
-    covariance = [
-        fit.variance[0] * (share + M[:, list(selected)] @ fit.inverse @ M[:, list(selected)].T)
-        for selected, fit in zip(channels.selected, channels.fits, strict=True)
-    ]
-    return channels.stack(lambda fit: fit.zeros), np.stack(covariance)
-
-
-def _series_descriptions(points: CalibrationPoints) -> tuple[str, ...]:
-    """Describe each load series that has rows of nonzero weight."""
-    x, load_series, order = points.x, points.load_series, np.argsort(points.load_series, kind="stable")
-    _, first, place = np.unique(points.run, return_index=True, return_inverse=True)
-    first = first[place]  # of the run of each row, whose rows are consecutive
-    names = np.unique(load_series[points.weight > 0])
-    starts, ends = (np.searchsorted(load_series[order], names, side) for side in ("left", "right"))
-    descriptions = []
-    for start, end in zip(starts, ends, strict=True):
-        rows, begin = order[start:end], first[order[start]]
-        run = points.run_names[points.run[rows[0]]]
-        descriptions.append(describe_load_series(rows - begin, run, points.components, x[begin:]))
-    return tuple(descriptions)
+    covariance = np.zeros((len(channels.selected), *share.shape))
+    for group, fit in zip(channels.groups, channels.fits, strict=True):
+        own = M[:, list(channels.selected[group[0]])]
+        covariance[list(group)] = fit.variance[:, None, None] * (share + own @ fit.inverse @ own.T)
+    return channels.stack(lambda fit: fit.zeros), covariance
 
 
 def _expand_to_all_rows(values: Array, used: NDArray[np.bool_]) -> Array:

@@ -6,9 +6,7 @@ every column. One QR decomposition A = Q R of the resulting columns, scaled, yie
     coefficients     b = R^-1 Q'y, refined together with the zeros (Bjorck, BIT 7 (1967) 257)
     covariance       s^2 (R'R)^-1
     variance inflation   diag (R'R)^-1 diag(R'R), zeros eliminated (Marquardt, Technometrics 12 (1970) 591)
-    PRESS            e_i / (1 - h_i),  h_i from the diagonal of QQ' and the share of row i in its zero
-                     (Allen, Technometrics 16 (1974) 125)
-    left-out blocks  (1 - Q_B Q_B')^-1 e_B: a block that was left out still has its own zero
+    errors of rows that are left out: see projection.py
 
 No model is fitted twice. All outputs have the same terms and are solved together.
 
@@ -19,7 +17,6 @@ precision.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +25,7 @@ from scipy.linalg import qr, solve_triangular
 
 from balance_cli.calibration.block_zeros import BlockZeros
 from balance_cli.calibration.extended_precision import ExtendedArray, gram_schmidt, inner_products, triangular_inverse
+from balance_cli.calibration.projection import Projection
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -39,14 +37,10 @@ EXTENDED_CONDITION = 1e4
 MAX_REFINEMENTS = 8
 """Upper bound on the refinements. Each reduces the error by the relative error of the first solution."""
 TINY = float(np.finfo(float).tiny)
-PRESS_LEVERAGE_FLOOR = 1e-8
-"""Floor of 1 - leverage, so that the PRESS residual of a row that alone determines a coefficient is finite."""
-MIN_KNOWN_SHARE = 1e-4
-"""Share of the information on each term that the other groups must hold for a group to be predicted from them."""
 
 
 @dataclass(frozen=True)
-class LeastSquares:
+class LeastSquares(Projection):
     """Regression of outputs (m, c) on p terms, with a zero for each of b blocks.
 
     `coefficients` (p, c), `zeros` (b, c), `residuals` (m, c), `leverage` (m,), `weight` (m,), `block` (m,). `root`
@@ -57,14 +51,9 @@ class LeastSquares:
 
     coefficients: Array
     zeros: Array
-    residuals: Array
-    leverage: Array
     root: Array
     inverse: Array
-    weight: Array
-    block: Index
     dof: float
-    Q: Array
 
     @property
     def variance(self) -> Array:
@@ -94,47 +83,9 @@ class LeastSquares:
         return np.asarray(np.diag(self.inverse) * np.sum(self.root**2, axis=0))
 
     @property
-    def press_residuals(self) -> Array:
-        """Error (m, c) of the prediction of each row by all others."""
-        return np.asarray(self.residuals / np.maximum(1.0 - self.leverage, PRESS_LEVERAGE_FLOOR)[:, None])
-
-    @property
     def press(self) -> Array:
         """Weighted sum (c,) of the squared `press_residuals`."""
         return np.asarray(self.weight @ self.press_residuals**2)
-
-    def cross_validation_errors(self, group: Index) -> Array:
-        """Errors (m, c) of the rows of each group, predicted from the other groups and the zero of each block.
-
-        `group` (m,) consists of whole blocks. NaN where the other groups do not determine a term.
-        """
-        errors = np.full(self.residuals.shape, np.nan)
-        root = np.sqrt(self.weight)[:, None]
-        scaled = root * self.residuals
-        for rows, is_row in _padded_groups(group):
-            # The smaller of two equivalent systems: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
-            Q = np.where(is_row[:, :, None], self.Q[rows], 0.0)
-            remainders = np.eye(Q.shape[2]) - Q.swapaxes(1, 2) @ Q
-            known = np.linalg.eigvalsh(remainders)[:, 0] > MIN_KNOWN_SHARE
-            Q, at, inside = Q[known], rows[known], is_row[known]
-            predicted = scaled[at] + Q @ np.linalg.solve(remainders[known], Q.swapaxes(1, 2) @ scaled[at])
-            errors[at[inside]] = (predicted / root[at])[inside]
-        return errors
-
-
-def _padded_groups(group: Index) -> Iterator[tuple[Index, NDArray[np.bool_]]]:
-    """Rows (g, r) of groups of similar size, padded with the first row of all, and which of them are members.
-
-    Groups are solved together; those of one class differ in size by less than a factor of two.
-    """
-    place = np.unique(group, return_inverse=True)[1]
-    order, count = np.argsort(place, kind="stable"), np.bincount(place)
-    first, size_class = np.cumsum(count) - count, np.frexp(count)[1]
-    for number in np.unique(size_class):
-        members = np.flatnonzero(size_class == number)
-        offset = np.arange(count[members].max())
-        is_row = offset < count[members][:, None]
-        yield order[np.where(is_row, first[members][:, None] + offset, 0)], is_row
 
 
 class CollinearError(Exception):

@@ -197,3 +197,27 @@ def describe_load_series(rows: Index, run: str, loads: Sequence[str], x: Array) 
     load_changed = np.ptp(x[rows], axis=0) > MIN_LOAD_CHANGE
     names = ", ".join(name for name, changed in zip(loads, load_changed, strict=True) if changed) or "nothing moved"
     return f"{run} rows {rows[0] + 1} to {rows[-1] + 1} ({names})"
+
+
+def describe_all_series(
+    load_series: Index,
+    used: NDArray[np.bool_],
+    run: Index,
+    run_names: Sequence[str],
+    loads: Sequence[str],
+    x: Array,
+) -> tuple[str, ...]:
+    """Describe each load series that has used rows: its number, the run (index into the names) and x of each row (m,).
+
+    `load_series`, `used`, `run` (m,); x (m, k) as in `describe_load_series`.
+    """
+    order = np.argsort(load_series, kind="stable")
+    _, first, place = np.unique(run, return_index=True, return_inverse=True)
+    first = first[place]  # of the run of each row, whose rows are consecutive
+    names = np.unique(load_series[used])
+    starts, ends = (np.searchsorted(load_series[order], names, side) for side in ("left", "right"))
+    descriptions = []
+    for start, end in zip(starts, ends, strict=True):
+        rows, begin = order[start:end], first[order[start]]
+        descriptions.append(describe_load_series(rows - begin, run_names[run[rows[0]]], loads, x[begin:]))
+    return tuple(descriptions)

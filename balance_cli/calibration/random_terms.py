@@ -207,7 +207,8 @@ def _fit_channels(
         fit = solve_penalized(X, y, points.load_series[used], points.weight[used], penalty)
         fits.append(_without_slopes(fit, len(terms), k, scatter * float(components.scale[c])))
     selected = (tuple(range(len(terms))),) * len(fits)
-    result = assemble_fit(ChannelFits(points, used, X[:, : len(terms)], selected, tuple(fits)), terms, {})
+    groups = tuple((c,) for c in range(len(fits)))
+    result = assemble_fit(ChannelFits(points, used, X[:, : len(terms)], selected, groups, tuple(fits)), terms, {})
     unknown = np.full((len(terms) - k, len(fits)), np.nan)
     model = result.model
     t, p_value, inflation = (np.vstack([v[:k], unknown]) for v in (model.t, model.p_value, model.variance_inflation))

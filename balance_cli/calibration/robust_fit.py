@@ -36,6 +36,8 @@ MAX_SERIES_SHARE = 0.3
 """Share of the rows of a load series that can stand out; with more of them the series is suspect as a whole."""
 MIN_CANDIDATES = 2
 """Rows that can stand out in any number of rows: two that are exchanged."""
+MIN_SINGULAR = 1e-10
+"""Singular value over the largest from which columns are told apart: rounding leaves 1e-15 or so."""
 SCALE_FLOOR = 1e-9
 """Floor of the scale over the range of a channel: computed readings have no noise."""
 
@@ -95,13 +97,15 @@ def _standing_out(ratio: Array, block: Index, limit: float) -> Mask:
 
 def _robust_ratio(columns: Array, Y: Array, block: Index) -> tuple[Array, Array]:
     """Largest error of each row (m,) over the robust scale of its channel, and these scales (c,)."""
-    m, weight, values = len(Y), np.ones(len(Y)), np.hstack([columns, Y])
+    m, weight = len(Y), np.ones(len(Y))
     zeros = BlockZeros.from_blocks(block, weight)
+    basis = _basis(columns, zeros)
+    values = np.hstack([basis, Y])
     freedom = np.sqrt(m / _dof(columns, block))
     least = SCALE_FLOOR * np.maximum(np.ptp(Y, axis=0), 1e-300)
     ratio, scale = np.zeros(Y.shape), np.zeros(Y.shape[1])
     for iteration in range(LAD_ITERATIONS + BIWEIGHT_ITERATIONS):
-        errors = np.abs(_weighted_errors(values, columns.shape[1], zeros.with_weight(weight)))
+        errors = np.abs(_weighted_errors(values, basis.shape[1], zeros.with_weight(weight)))
         scale = np.maximum(1.4826 * _median(errors) * freedom, least)
         ratio = errors / scale
         size = np.sqrt(np.mean(ratio**2, axis=1))
@@ -131,9 +135,22 @@ def _dof(columns: Array, block: Index) -> int:
     return max(len(columns) - int(columns.shape[1]) - int(block.max()) - 1, 1)
 
 
+def _basis(columns: Array, zeros: BlockZeros) -> Array:
+    """Orthonormal columns (m, r) that span the columns (m, k) within the blocks: products of weighted ones are regular.
+
+    Absolute values are the loads themselves where all are of one sign.
+    """
+    U, s, _ = np.linalg.svd(zeros.subtract_means(columns), full_matrices=False)
+    return np.asarray(U[:, s > MIN_SINGULAR * s[0]]) if s[0] > 0.0 else columns[:, :0]
+
+
 def _weighted_errors(values: Array, count: int, zeros: BlockZeros) -> Array:
-    """Errors (m, c) of a weighted fit with a zero for each block; `values` (m, k + c): columns, channels."""
+    """Errors (m, c) of a weighted fit with a zero for each block; `values` (m, r + c): basis, channels."""
     weighted = zeros.subtract_means(values)
-    coefficients = np.linalg.lstsq(weighted[:, :count], weighted[:, count:], rcond=1e-10)[0]
+    A, y = weighted[:, :count], weighted[:, count:]
+    try:
+        coefficients = np.linalg.solve(A.T @ A, A.T @ y)
+    except np.linalg.LinAlgError:  # rows of hardly any weight alone tell a column
+        coefficients = np.linalg.lstsq(A, y, rcond=MIN_SINGULAR)[0]
     left = values[:, count:] - values[:, :count] @ coefficients
     return np.asarray(left - zeros.means(left * zeros.root[:, None])[zeros.place])

@@ -12,15 +12,13 @@ removed unless it reduces the cross-validation error of the load series.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.block_zeros import subtract_block_means
-from balance_cli.calibration.cross_validation import prediction_errors
+from balance_cli.calibration.block_zeros import BlockZeros
+from balance_cli.calibration.channel_rows import ChannelRows
 from balance_cli.calibration.few_rows import FEW_ROWS_P_VALUE, least_p_value_without_two_rows
-from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares
 from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION, TermNormalEquations
 from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL
 from balance_cli.signals import distributions as stats
@@ -59,7 +57,8 @@ def select_terms(
     of Y where others are searched by themselves.
     """
     w = np.ones(len(X)) if weight is None else weight
-    Xc, Yc = (subtract_block_means(values, block, w) for values in (X, Y))
+    zeros = BlockZeros.from_blocks(block, w)
+    Xc, Yc = (np.asarray(zeros.subtract_means(values), float) for values in (X, Y))
     size = np.linalg.norm(Xc, axis=0)
     Xs = Xc / np.where(size > 0, size, 1.0)
     G, g = Xs.T @ Xs, Xs.T @ Yc
@@ -70,38 +69,10 @@ def select_terms(
     for c in range(Y.shape[1]):
         normal = TermNormalEquations(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), rows_less_zeros)
         selected = _search_stepwise(normal, linear_count, significance / tests, pairs)
-        rows = _ChannelRows(X, Y[:, c], block, load_series, linear_count, w, significance)
+        rows = ChannelRows(X, Y[:, c], block, load_series, linear_count, w, significance)
         selected = _drop_terms_of_few_rows(_limit_inflation(normal, selected, linear_count), rows)
         channel_terms.append(_best_predictor(_cross_validate(selected, rows), rows, normal, family))
     return channel_terms
-
-
-@dataclass(frozen=True)
-class _ChannelRows:
-    """Rows of one channel: columns X (m, p), readings y (m,), zeros by block (m,), load series (m,), weight (m,).
-
-    `known_errors`: prediction errors of models that were compared before.
-    """
-
-    X: Array
-    y: Array
-    block: Index
-    load_series: Index
-    linear_count: int
-    weight: Array
-    significance: float = TERM_SIGNIFICANCE_LEVEL
-    known_errors: dict[tuple[int, ...], float] = field(default_factory=dict)
-
-    def fit(self, selected: Sequence[int]) -> LeastSquares:
-        """Fit of some columns."""
-        return solve_least_squares(self.X[:, list(selected)], self.y[:, None], self.block, self.weight)
-
-    def prediction_error(self, selected: Sequence[int]) -> float:
-        """Weighted sum of squares of the errors of rows that are left out of the fit of some columns."""
-        key = tuple(sorted(selected))
-        if key not in self.known_errors:
-            self.known_errors[key] = float(self.weight @ prediction_errors(self.fit(key), self.load_series) ** 2)
-        return self.known_errors[key]
 
 
 def _limit_inflation(normal: TermNormalEquations, selected: list[int], linear_count: int) -> list[int]:
@@ -115,7 +86,7 @@ def _limit_inflation(normal: TermNormalEquations, selected: list[int], linear_co
     return selected
 
 
-def _drop_terms_of_few_rows(selected: list[int], rows: _ChannelRows) -> list[int]:
+def _drop_terms_of_few_rows(selected: list[int], rows: ChannelRows) -> list[int]:
     """Remove the terms that are not significant without some two rows, the least significant first."""
     while len(selected) > rows.linear_count:
         fit = rows.fit(selected)
@@ -128,7 +99,7 @@ def _drop_terms_of_few_rows(selected: list[int], rows: _ChannelRows) -> list[int
 
 
 def _best_predictor(
-    selected: tuple[int, ...], rows: _ChannelRows, normal: TermNormalEquations, family: Sequence[int]
+    selected: tuple[int, ...], rows: ChannelRows, normal: TermNormalEquations, family: Sequence[int]
 ) -> tuple[int, ...]:
     """The selected columns, unless the loads alone or the whole family predict rows that are left out better.
 
@@ -266,7 +237,7 @@ def _eliminate_backward(normal: TermNormalEquations, selected: list[int], linear
         selected = [term for term in selected if term != least]
 
 
-def _cross_validate(selected: Sequence[int], rows: _ChannelRows) -> tuple[int, ...]:
+def _cross_validate(selected: Sequence[int], rows: ChannelRows) -> tuple[int, ...]:
     """Remove the terms that do not help to predict rows that are left out, the worst first."""
     selected = list(selected)
     while len(selected) > rows.linear_count:

@@ -16,7 +16,7 @@ from balance_cli.calibration.combined_series import Exclusion, contradicting_ser
 from balance_cli.calibration.contradiction import LoadSeriesRows, contradicts, decide_by_declared, undecided_error
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gain_scatter import MIN_GAIN_ERROR, gain_scatter, least_gain_errors
-from balance_cli.calibration.least_squares import CollinearError
+from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.own_products import explaining_products, one_sided_note, usual_one_sided_terms
 from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
@@ -183,10 +183,13 @@ def _beyond_scatter(channels: list[SuspectLoadSeries], scatter: float) -> list[S
 
 def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
     """Mean square cross-validation error without these rows (m,), in units of the noise, large errors clipped."""
+    others = (points.weight > 0) & ~rows
+    load_series, weight = points.load_series[others], points.weight[others]
     try:
-        errors = fit_calibration_model(points.exclude_rows(rows), LINEAR_TERMS).cross_validation_errors
+        linear = solve_least_squares(points.x[others], points.channels[others], load_series, weight)
     except CollinearError:  # no other series tells one of its loads
         return np.inf
+    errors = linear.cross_validation_errors(load_series)
     scaled = (errors / robust_sigma(errors)) ** 2
     return float(np.mean(np.minimum(scaled[np.isfinite(scaled)], MAX_SCALED_SQUARE)))
 

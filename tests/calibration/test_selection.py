@@ -5,6 +5,7 @@ import pytest
 
 from balance_cli.calibration import selection
 from balance_cli.calibration.block_zeros import subtract_block_means
+from balance_cli.calibration.channel_rows import ChannelRows
 from balance_cli.calibration.fit import fit_calibration_model
 from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.load_series import describe_load_series, find_load_series
@@ -167,7 +168,7 @@ def test_a_term_that_does_not_help_sequences_left_out_goes():
     Y[rows] += 0.01 * X[rows][:, [own]]
     whole, w = [*range(6), own, true], np.ones(len(X))
     assert solve_least_squares(X[:, whole], Y, sequence).t[6, 0] > 5.0
-    kept = selection._cross_validate(whole, selection._ChannelRows(X, Y[:, 0], sequence, sequence, 6, w))
+    kept = selection._cross_validate(whole, ChannelRows(X, Y[:, 0], sequence, sequence, 6, w))
     assert kept == (*range(6), true)
 
 
