@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.column_clocks import require_one_clock, without_empty_columns
 from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
 from balance_cli.importers.stated_clock import stated_rates
 from balance_cli.importers.text_blocks import (
@@ -33,8 +34,6 @@ FEWEST_SPARSE_ROWS = 4
 NUMERIC_COLUMN_SHARE = 0.9
 """Share of the cells of a column that must be numbers for a column of numbers: a word among them (`Max`, `overload`) is
 then a fault of its row, where a column of labels has hardly any number."""
-COLUMN_CLOCKS = ("delta_x", "dx", "x0")
-"""First cells of rows with the step or the start of each column, in lower case without a colon."""
 COMMENTS = ("comment", "comments", "remark", "kommentar", "bemerkung")
 """Names of columns that are no channels where they are empty: LabVIEW writes one in every file."""
 MOST_FOOTER_ROWS = 10
@@ -94,8 +93,9 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     sparse = _sparse_columns(rows[first:], numeric)
     dense = [column for column in numeric if column not in sparse]
     times = time_columns(rows[first:], decimal, dense, list(zip(names, units, strict=True)))
+    head, clocks = without_empty_columns(lines[:first], rows[:first], rows[first:], separator)
     if len(times) < 2:
-        _require_one_clock(rows[:first])
+        require_one_clock(clocks)
     sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
     return Columns(
         encoding=encoding,
@@ -106,7 +106,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         units=units,
         numeric=numeric,
         clock=clock,
-        stated_rates=(rate,) if rate else stated_rates(lines[:first], separator),
+        stated_rates=(rate,) if rate else stated_rates(head, separator),
         sparse=sparse,
         times=times,
         group_sign=sign,
@@ -176,16 +176,6 @@ def _require_plausible_shape(rows: Sequence[Sequence[str]], first: int, separato
     if is_whole and width > MOST_COLUMNS and count < LEAST_SHAPE * width:
         fault = f"has {count} rows of {width} cells: a row for each channel, where a column was expected"
         raise UserError(fault, remedy="Export it with a column for each channel")
-
-
-def _require_one_clock(header: Sequence[Sequence[str]]) -> None:
-    """Raise UserError where the head states different steps or starts of columns without times of their own."""
-    for row in header:
-        stated = sorted({cell for cell in row[1:] if cell})
-        if row and row[0].lower().rstrip(":") in COLUMN_CLOCKS and len(stated) > 1:
-            fault = f"has columns with `{row[0]}` of {' and '.join(stated[:3])}, and no times for each of them"
-            remedy = "Export a column of times for each rate, or a file for each rate"
-            raise UserError(fault, remedy=remedy)
 
 
 def _sparse_columns(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> dict[int, tuple[int, int]]:
