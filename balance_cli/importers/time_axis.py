@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.importers.base import Array, ReadBlock
+from balance_cli.importers.uneven_times import are_uneven
 from balance_cli.importers.written_times import read_written_times
 from balance_cli.io.errors import UserError
 
@@ -152,4 +153,6 @@ def _uneven(steps: Array, first: int, largest: float) -> UserError:
     elif steps[worst] == 0.0:
         fault += " (a time is that of the row above)"
         remedy = "Remove rows that are there twice"
+    elif are_uneven(steps):
+        remedy = "State `resample` [Hz] in the map: samples at uneven times are then interpolated"
     return UserError(fault, place=f"sample {first + worst}", remedy=remedy)

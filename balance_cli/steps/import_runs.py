@@ -61,7 +61,7 @@ def import_run(declared: DeclaredRun, files: Sequence[ForeignFile]) -> ImportedR
     or rotor reference cannot be determined, or the settings of the run do not fit its kind.
     """
     entry, mapping = declared.entry, declared.mapping
-    finder = ChannelFinder(files, mapping)
+    finder = ChannelFinder(files, mapping, are_in_time=entry.kind != "static")
     channels = mapped_signals(finder, mapping.channels)
     has_loads = entry.kind in KINDS_WITH_LOADS
     loads, load_notes = _load_signals(finder, declared) if has_loads else ([], [])

@@ -10,6 +10,7 @@ from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, 
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
+from balance_cli.importers.uneven_times import evened_group
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
 from balance_cli.steps.import_channels import FIRST, ChannelNames, FoundChannel
@@ -48,9 +49,10 @@ class Signal:
 class ChannelFinder(ChannelNames):
     """The channels of the files of one run, by name, with their clocks."""
 
-    def __init__(self, files: Sequence[ForeignFile], declared: ImportMap) -> None:
+    def __init__(self, files: Sequence[ForeignFile], declared: ImportMap, are_in_time: bool = True) -> None:
         used = _used_names(declared)
-        super().__init__(joined_pieces(files, used, declared.time), used)
+        pieces = joined_pieces(files, used, declared.time)
+        super().__init__([_evened(file, declared) for file in pieces] if are_in_time else pieces, used)
         self._map = declared
         self._clocks: dict[int, tuple[Clock, str]] = {}
         self._at_stated_rate: dict[str, FoundChannel] = {}
@@ -121,6 +123,31 @@ class ChannelFinder(ChannelNames):
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
         notes = (axis.note, contradiction(time.file, axis.rate, f"its times `{time.name}`"))
         return _strided(Clock(axis.rate, axis.start, group.samples), group), "; ".join(filter(None, notes))
+
+
+def _evened(file: ForeignFile, declared: ImportMap) -> ForeignFile:
+    """The file with its samples at even times, where `resample` of the map asks for them and the times are uneven."""
+    if declared.resample is None or declared.time is None or declared.sample_rate is not None:
+        return file
+    key, groups, notes = " ".join(declared.time.split()), [], list(file.notes)
+    for group in file.groups:
+        evened = None
+        if group.rate is None and group.time is None and group.stride == 1 and key in group.names:
+            column = group.names.index(key)
+            factor = _time_factor(declared.time_unit or group.channels[column].unit)
+            times = group.read([column], 0, group.samples)[:, 0] * factor
+            evened = evened_group(group, times, declared.resample)
+        groups.append(group if evened is None else evened.group)
+        notes += [] if evened is None else [evened.note]
+    return replace(file, groups=tuple(groups), notes=tuple(notes))
+
+
+def _time_factor(unit: str) -> float:
+    """Seconds of one unit of time; 1 for one that is unknown, which is refused where the clock is read."""
+    try:
+        return time_unit(unit or "s").factor
+    except UserError:
+        return 1.0
 
 
 def _used_names(declared: ImportMap) -> set[str]:
