@@ -11,32 +11,32 @@ COLUMN_CLOCKS = ("delta_x", "dx", "x0")
 """First cells of rows with the step or the start of each column, in lower case without a colon."""
 
 
-def without_empty_columns(
-    lines: Sequence[str], header: Sequence[Sequence[str]], rows: Sequence[Sequence[str]], separator: str
-) -> tuple[list[str], list[list[str]]]:
-    """The lines of a head and their cells, without the clocks of columns that have no value in the rows of data.
+def head_of_used_columns(
+    lines: Sequence[str], rows: Sequence[Sequence[str]], separator: str, has_times: bool
+) -> list[str]:
+    """The lines of a head, without the clocks of columns that have no value in the rows behind it.
 
-    LabVIEW states a step of 1 s for a channel without samples, beside those of the others.
+    LabVIEW states a step of 1 s for a channel without samples, beside those of the others. `rows`: cells of the head
+    and of the data. Raises UserError where the columns have different clocks, and no columns of times (`has_times`).
     """
-    filled = {column for row in rows for column, cell in enumerate(row) if not is_missing(cell)}
-    kept_lines, kept = list(lines), [list(row) for row in header]
-    for place, row in enumerate(kept):
-        if not _states_clocks(row) or not filled.intersection(range(1, len(row))):
+    data = rows[len(lines) :]
+    filled = {column for row in data for column, cell in enumerate(row) if not is_missing(cell)}
+    width = max(map(len, data), default=0)
+    head = list(lines)
+    for place, row in enumerate(rows[: len(lines)]):
+        if not row or row[0].lower().rstrip(":") not in COLUMN_CLOCKS:
             continue
-        row[1:] = [cell if column in filled else "" for column, cell in enumerate(row[1:], start=1)]
-        kept_lines[place] = separator.join(row)
-    return kept_lines, kept
+        cells = [cell if column in filled else "" for column, cell in enumerate(row) if column > 0]
+        if not any(cells) or any(row[width:]):  # the clocks stand beside their columns, not above them
+            cells = list(row[1:])
+        if not has_times:
+            _require_one_clock(row[0], cells)
+        head[place] = separator.join([row[0], *cells])
+    return head
 
 
-def require_one_clock(header: Sequence[Sequence[str]]) -> None:
-    """Raise UserError where the head states different steps or starts of columns without times of their own."""
-    for row in header:
-        stated = sorted({cell for cell in row[1:] if cell})
-        if _states_clocks(row) and len(stated) > 1:
-            fault = f"has columns with `{row[0]}` of {' and '.join(stated[:3])}, and no times for each of them"
-            remedy = "Export a column of times for each rate, or a file for each rate"
-            raise UserError(fault, remedy=remedy)
-
-
-def _states_clocks(row: Sequence[str]) -> bool:
-    return bool(row) and row[0].lower().rstrip(":") in COLUMN_CLOCKS
+def _require_one_clock(key: str, cells: Sequence[str]) -> None:
+    stated = sorted({cell for cell in cells if cell})
+    if len(stated) > 1:
+        fault = f"has columns with `{key}` of {' and '.join(stated[:3])}, and no times for each of them"
+        raise UserError(fault, remedy="Export a column of times for each rate, or a file for each rate")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
-from balance_cli.importers.column_clocks import require_one_clock, without_empty_columns
+from balance_cli.importers.column_clocks import head_of_used_columns
 from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
 from balance_cli.importers.stated_clock import stated_rates
 from balance_cli.importers.text_blocks import (
@@ -93,9 +93,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     sparse = _sparse_columns(rows[first:], numeric)
     dense = [column for column in numeric if column not in sparse]
     times = time_columns(rows[first:], decimal, dense, list(zip(names, units, strict=True)))
-    head, clocks = without_empty_columns(lines[:first], rows[:first], rows[first:], separator)
-    if len(times) < 2:
-        require_one_clock(clocks)
+    head = head_of_used_columns(lines[:first], rows, separator, has_times=len(times) > 1)
     sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
     return Columns(
         encoding=encoding,

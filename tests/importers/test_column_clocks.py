@@ -39,3 +39,12 @@ def test_different_steps_of_channels_with_samples_are_refused(tmp_path):
     path.write_text(labview(["0.002000", "1.000000"], lambda k: [f"{X[k]}", f"{k}"]))
     with pytest.raises(UserError, match=r"`Delta_X` of 0.002000 and 1.000000"):
         open_foreign(path)
+
+
+def test_clocks_beside_their_columns_all_count(tmp_path):
+    """As imc writes them, the key stands above the first column."""
+    path = tmp_path / "a.txt"
+    rows = "".join(f"{x}\t{-x}\n" for x in X)
+    path.write_text("Name:\tA\tB\nUnit:\tN\tN\ndx:\t0.001\t0.002\n" + rows)
+    with pytest.raises(UserError, match=r"`dx:` of 0.001 and 0.002"):
+        open_foreign(path)
