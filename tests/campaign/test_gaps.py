@@ -251,3 +251,30 @@ def test_readings_that_a_coarse_converter_repeats_were_not_entered_twice(repeats
     copied = np.insert(np.arange(len(x)), 12, 12)
     run = bridge_gaps(replace(plain, samples=len(x) + 1, source=MemorySource(fine[copied], loads[copied])))
     assert len(run.copied_rows) == 1
+
+
+def test_spikes_of_one_sample_are_interpolated():
+    """Thirty spikes of one sign had moved the mean by five standard deviations, with an empty flag."""
+    run, rng = rotor_run(5), np.random.default_rng(8)
+    volts = np.array(run.read().channels)
+    index = np.sort(rng.choice(np.arange(20, run.samples - 20, 8), 30, replace=False))
+    volts[index, 1] += 0.3 * volts[:, 1].std()
+    found = bridge_gaps(replace(run, source=MemorySource(volts, None)))
+    assert gap_summary(found) == {"b": {"samples": 30, "gaps": 30, "longest": 1, "spikes": 30}}
+    np.testing.assert_array_equal(found.bridged[0].index, index)
+    assert "30 of them are spikes of one sample" in describe_gaps(found)
+    error = found.read().channels[:, 1] - run.read().channels[:, 1]
+    assert abs(error.mean()) < 0.05 * 30 * 0.3 * volts[:, 1].std() / run.samples
+
+
+@pytest.mark.parametrize("width", [1.0, 1.5, 3.0])
+def test_pulses_of_loads_behind_the_filter_are_no_spikes(width):
+    """Short blows once in a revolution behind an anti-alias filter at 0.45 of the sample rate, and noise."""
+    run, rng = rotor_run(6), np.random.default_rng(9)
+    blows = np.zeros((4 * run.samples, 3))
+    blows[np.arange(60, len(blows), round(4 * RATE / SPEED))] = 40.0
+    shape = np.exp(-((np.arange(-40, 41) / (4 * width)) ** 2))
+    sos = signal.butter(6, 0.9 * RATE / 2, fs=4 * RATE, output="sos")
+    filtered = signal.sosfilt(sos, signal.fftconvolve(blows, shape[:, None], "same", axes=0), axis=0)[::4]
+    for volts in (filtered, filtered + run.read().channels, 1e-3 * rng.standard_normal(filtered.shape)):
+        assert not bridge_gaps(replace(run, source=MemorySource(volts, None))).bridged

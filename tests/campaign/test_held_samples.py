@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.channel_health import channel_faults
+from balance_cli.campaign.recording.false_samples import repeated_block
 from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps
 from balance_cli.campaign.recording.held_samples import held_samples
-from balance_cli.campaign.recording.repeated_block import repeated_block
 from balance_cli.campaign.recording.run import MemorySource, Run, SampleBlock
 from tests.campaign.test_gaps import rotor_run
 

@@ -1,4 +1,4 @@
-"""Short gaps of a record, samples that are not finite, held or dropped out, are bridged where the record is read.
+"""Short gaps of a record, samples that are not finite, held, dropped out or spikes, are bridged where it is read.
 
 A gap is bridged by interpolation (`gap_interpolation`). Longer or more frequent gaps stay, and the channel is left out.
 Gaps of the loads are faults of the run: loads are what responses and errors refer to, and no other signal can stand in
@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.false_samples import repeated_block, spikes
 from balance_cli.campaign.recording.gap_interpolation import REACH, interpolate_missing
 from balance_cli.campaign.recording.held_samples import ROTOR_KINDS, held_samples
-from balance_cli.campaign.recording.repeated_block import repeated_block
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, BridgedSamples, Run, SampleBlock, SampleSource
 from balance_cli.campaign.recording.static_rows import describe_rows, leave_out_rows
 from balance_cli.io.result_view import plural
@@ -34,6 +34,8 @@ LARGEST_SHARE = 0.01
 Even where nothing of the missing samples can be predicted, amplitudes then change by no more than the square root of
 it, a tenth of their noise; a channel that loses more is faulty.
 """
+BESIDE_GAP = 4
+"""Samples beside other gaps whose edges look like spikes."""
 CONTEXT = 1024
 """Samples on either side of a gap that the model is fitted to: ten for each of its coefficients."""
 TILE = 2048
@@ -70,18 +72,29 @@ def bridge_gaps(run: Run) -> Run:
     if len(copied):
         fault = f"samples {copied[0]} to {copied[-1]} repeat earlier ones in all channels: was a buffer written twice?"
         return replace(run, held=dict.fromkeys(run.channel_names, fault))
-    for column in sorted({*missing, *held}):
-        index = np.union1d(missing.get(column, []), held.get(column, [])).astype(np.int64)
+    single = spikes(run) if run.kind in ROTOR_KINDS and run.excitation != "impact" else {}
+    for column in sorted({*missing, *held, *single}):
+        known = np.union1d(missing.get(column, []), held.get(column, []))
+        index = np.union1d(known, _apart(single.get(column, np.empty(0)), known)).astype(np.int64)
         name, count = run.channel_names[column], len(held.get(column, []))
         samples = _bridge(run, name, column, index) if len(index) <= LARGEST_SHARE * run.samples else None
         if samples is not None:
-            bridged[column] = replace(samples, held=count)
+            bridged[column] = replace(samples, held=count, spikes=len(index) - len(known))
         elif count:
             faults[name] = _held_fault(held[column], run.samples)
     if not bridged and not faults:
         return run
     fills = {column: (samples.index, samples.values) for column, samples in bridged.items()}
     return replace(run, source=BridgedSource(run.source, fills), bridged=tuple(bridged.values()), held=faults)
+
+
+def _apart(index: Array | Integers, known: Array | Integers) -> Array | Integers:
+    """Return the spikes that are not the edge of another gap."""
+    if not len(known):
+        return index
+    place = np.searchsorted(known, index)
+    after, before = known[np.minimum(place, len(known) - 1)], known[np.maximum(place - 1, 0)]
+    return index[np.minimum(np.abs(after - index), np.abs(index - before)) > BESIDE_GAP]
 
 
 def _held_fault(index: Integers, samples: int) -> str:
@@ -97,6 +110,7 @@ def gap_summary(run: Run) -> dict[str, dict[str, int]]:
             "gaps": len(item.gaps),
             "longest": longest_gap(item.index),
             **({"held": item.held} if item.held else {}),
+            **({"spikes": item.spikes} if item.spikes else {}),
         }
         for item in run.bridged
     }
@@ -114,7 +128,8 @@ def describe_gaps(run: Run) -> str:
 
 
 def _held_part(about: Mapping[str, int]) -> str:
-    return f"; {about['held']} of them repeat a value or are exactly zero" if "held" in about else ""
+    held = f"; {about['held']} of them repeat a value or are exactly zero" if "held" in about else ""
+    return held + (f"; {about['spikes']} of them are spikes of one sample" if "spikes" in about else "")
 
 
 def report_gaps(runs: Iterable[Run], report: Callable[[str, str], None]) -> dict[str, dict[str, dict[str, int]]]:

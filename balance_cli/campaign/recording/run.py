@@ -85,7 +85,8 @@ class BridgedSamples:
     """Samples of one signal (channel or load) that were missing and are interpolated.
 
     `index` (m,), ascending, `values` (m,), and `errors` (k, m) of the same interpolation at k places beside them, where
-    the samples are known. `held` of them are finite, but repeat the one before or are zeros of a link that dropped out.
+    the samples are known. `held` of them are finite, but repeat the one before or are zeros of a link that dropped out;
+    `spikes` of them are, too, but do not follow from their neighbors.
     """
 
     name: str
@@ -93,6 +94,7 @@ class BridgedSamples:
     values: Array
     errors: Array
     held: int = 0
+    spikes: int = 0
 
     @property
     def count(self) -> int:
