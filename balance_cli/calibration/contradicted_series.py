@@ -2,7 +2,8 @@
 
 Where every series varies all loads, as in a schedule by chance, a wrong sign of one load, another unit or two exchanged
 channels in a single series spoil the fit of all rows. Each of them then looks wrong, and neither robust fits nor the
-gains of single series tell which one is. Series are therefore left out, one by one or two at a time.
+gains of single series tell which one is. Series are therefore left out, one by one or two at a time, and more of them
+where no line fits, as long as most are left.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,11 @@ MIN_SERIES = 4
 """Load series of which one may be left out: three that agree with each other are a majority."""
 MIN_SERIES_OF_TWO, MAX_SERIES_OF_TWO = 7, 24
 """The same for two, and up to which all pairs are tried: five that agree, and 276 linear fits at the most."""
+MIN_MISFIT = 0.01
+"""What a line leaves, over the range of the readings, from which sets of more series are tried: one wrong series of
+twenty leaves as much, and a sound balance is not kept waiting for sets that none of its series needs."""
+MAX_SETS = 2500
+"""Sets of one size that are tried: three of 24 series, five of 15; a second for squares and products."""
 CLEAR_RATIO = 3.0
 """Least misfit without any other series over that without the wrong one: of eight series, each takes 6 % of it away."""
 MIN_ERROR_SHARE = 0.05
@@ -55,19 +62,26 @@ def contradicted_series(points: CalibrationPoints, choice: TermChoice) -> tuple[
     """
     used = points.weight > 0
     names = np.unique(points.load_series[used])
-    sizes = [1] * (len(names) >= MIN_SERIES) + [2] * (MIN_SERIES_OF_TWO <= len(names) <= MAX_SERIES_OF_TWO)
     k = len(points.components)
-    if not sizes:
+    if len(names) < MIN_SERIES:
         return ()
     for terms in (linear_terms(k), (*linear_terms(k), *(term for term in all_terms(k) if term.is_quadratic))):
         columns = term_values(terms, points.x)
         sums = _sums(points, columns, names)
-        for size in sizes:
+        for size in _sizes(len(names), float(sums.misfit(np.zeros((1, 0), np.intp))[0])):
             found, misfit = _clearly_best(sums, np.array(list(combinations(range(len(names)), size))))
             rows = tuple(used & (points.load_series == names[place]) for place in found)
             if rows and all(_is_far_off(points, columns, each, rows, misfit) for each in rows):
-                return () if _is_explained(points, choice, misfit) else rows
+                return () if is_explained(points, choice, misfit) else rows
     return ()
+
+
+def _sizes(count: int, misfit: float) -> list[int]:
+    """How many of `count` series are left out at a time: a minority, of which all sets are tried."""
+    sizes = [1] + [2] * (MIN_SERIES_OF_TWO <= count <= MAX_SERIES_OF_TWO)
+    if misfit > MIN_MISFIT:
+        sizes += [size for size in range(2, (count + 1) // 2) if size not in sizes and comb(count, size) <= MAX_SETS]
+    return sizes
 
 
 @dataclass(frozen=True)
@@ -98,7 +112,7 @@ class _Sums:
 
 def _sums(points: CalibrationPoints, columns: Array, names: Index) -> _Sums:
     """The sums of each load series of the used rows."""
-    parts = [_centered(points, columns, (points.weight > 0) & (points.load_series == name)) for name in names]
+    parts = [centered_rows(points, columns, (points.weight > 0) & (points.load_series == name)) for name in names]
     return _Sums(
         gram=np.array([x.T @ x for x, _, _ in parts]),
         cross=np.array([x.T @ y for x, y, _ in parts]),
@@ -120,36 +134,36 @@ def _clearly_best(sums: _Sums, sets: Index) -> tuple[tuple[int, ...], float]:
 
 def _is_far_off(points: CalibrationPoints, columns: Array, rows: Mask, left_out: Iterable[Mask], misfit: float) -> bool:
     """Whether several of some rows (m,) are far from what the rows not left out predict."""
-    x, y, _ = _centered(points, columns, (points.weight > 0) & ~np.any(list(left_out), axis=0))
+    x, y, _ = centered_rows(points, columns, (points.weight > 0) & ~np.any(list(left_out), axis=0))
     own = columns[rows] - np.median(columns[rows], axis=0)
-    errors = points.channels[rows] / _ranges(points) - own @ np.linalg.lstsq(x, y, rcond=None)[0]
+    errors = points.channels[rows] / reading_ranges(points) - own @ np.linalg.lstsq(x, y, rcond=None)[0]
     errors -= np.median(errors, axis=0)
     sigma = misfit * np.sqrt(1.0 + np.sum(own * np.linalg.solve(x.T @ x, own.T).T, axis=1))
     largest, needed = np.max(np.abs(errors), axis=1), max(MIN_WRONG_ROWS, int(np.ceil(MIN_WRONG_SHARE * len(own))))
     return int(np.sum((largest > MIN_ERROR_SHARE) & (largest > MIN_ERROR_RATIO * sigma))) >= needed
 
 
-def _is_explained(points: CalibrationPoints, choice: TermChoice, misfit: float) -> bool:
-    """Whether the terms of the model, fitted to all series, leave about as little as a line does to the others."""
+def is_explained(points: CalibrationPoints, choice: TermChoice, misfit: float) -> bool:
+    """Return whether the terms of the model, fitted to all rows, leave about as little as a line to the others."""
     try:
         residuals = fit_calibration_model(points, choice).residuals
     except CollinearError:
         return False
-    return float(np.sqrt(np.nanmean((residuals / _ranges(points)) ** 2))) < CLEAR_RATIO * misfit
+    return float(np.sqrt(np.nanmean((residuals / reading_ranges(points)) ** 2))) < CLEAR_RATIO * misfit
 
 
-def _ranges(points: CalibrationPoints) -> Array:
-    """Range (c,) of the readings of each channel."""
+def reading_ranges(points: CalibrationPoints) -> Array:
+    """Return the range (c,) of the readings of each channel."""
     spread = np.ptp(points.channels[points.weight > 0], axis=0)
     return np.where(spread > 0.0, spread, 1.0)
 
 
-def _centered(points: CalibrationPoints, columns: Array, rows: Mask) -> tuple[Array, Array, Index]:
-    """Columns and readings over their ranges of some rows (m,), less their means in each load series, and these."""
+def centered_rows(points: CalibrationPoints, columns: Array, rows: Mask) -> tuple[Array, Array, Index]:
+    """Return columns and readings over their ranges of rows (m,), less their means in each load series, and these."""
     series = points.load_series[rows]
     if not len(series):
         return columns[rows], points.channels[rows], series
-    readings = points.channels[rows] / _ranges(points)
+    readings = points.channels[rows] / reading_ranges(points)
     return subtract_block_means(columns[rows], series), subtract_block_means(readings, series), series
 
 
@@ -165,9 +179,9 @@ def _deviating_channels(model: CalibrationModel, points: CalibrationPoints, rows
     power = np.maximum(np.sum(expected**2, axis=0), np.finfo(float).tiny)
     gain = np.sum(change * expected, axis=0) / power
     sigma = np.sqrt(np.mean((change - gain * expected) ** 2, axis=0) / power)
-    largest = np.max(np.abs(change - expected), axis=0) / _ranges(points)
+    largest = np.max(np.abs(change - expected), axis=0) / reading_ranges(points)
     deviating = np.flatnonzero(largest > min(MIN_ERROR_SHARE, float(largest.max())))
-    words, cause = _words(points, rows), series_cause(model, points, rows)
+    words, cause = describe_rows(points, rows), series_cause(model, points, rows)
     names = points.channel_names
     return [
         SuspectLoadSeries(words, names[c], float(gain[c]), float(sigma[c]), "", cause=cause)
@@ -175,8 +189,8 @@ def _deviating_channels(model: CalibrationModel, points: CalibrationPoints, rows
     ]
 
 
-def _words(points: CalibrationPoints, rows: Mask) -> str:
-    """The load series of some rows (m,) in words."""
+def describe_rows(points: CalibrationPoints, rows: Mask) -> str:
+    """Return some rows (m,) of one run in words, as a load series."""
     at = np.flatnonzero(rows)
     begin = int(np.flatnonzero(points.run == points.run[at[0]])[0])
     return describe_load_series(at - begin, points.run_names[points.run[at[0]]], points.components, points.x[begin:])

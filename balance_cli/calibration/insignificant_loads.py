@@ -16,6 +16,11 @@ Array = NDArray[np.float64]
 
 MAX_LOAD_INFLATION = 100.0
 """Variance inflation of a load from which it counts as applied together with others: correlated to 99.5 %."""
+MAX_UNEXPLAINED = 0.2
+"""Share of the readings that a line leaves from which they contradict the loads: curvature of 20 % is no balance, and
+where one load is not told, most channels follow the others."""
+SHIFTED_SHARE = 1.0 / 3.0
+"""Of that share, what it must fall to where readings are moved by a row: these then belong to the loads."""
 MIN_SIGNIFICANCE = 25.0
 """Mean squared t of a component's coefficients (5 sigma) below which it counts as hardly loaded."""
 
@@ -34,8 +39,35 @@ def explain_insignificance(rows: TrimRows, components: tuple[str, ...], j: int) 
     curved = fit_with_curvature(rows, components)
     if curved is not None and significance(curved)[j] >= MIN_SIGNIFICANCE:
         return "", ""
+    left = _unexplained_share(rows)
+    if left > MAX_UNEXPLAINED:
+        return _contradiction(rows, name, left)
     fault = f"`{name}` was hardly loaded, or no usable channel shows it"
     return fault, f"Apply `{name}` in steps, and check the channels that should show it"
+
+
+def _contradiction(rows: TrimRows, name: str, left: float) -> tuple[str, str]:
+    """Fault and remedy of readings that do not follow the loads, of which a fit leaves the share `left`."""
+    largest, steps = float(np.max(np.abs(rows.loads))), np.any(np.diff(rows.loads, axis=0) != 0, axis=1)
+    for shift, way in ((-1, "later"), (1, "earlier")) if largest > 0 and steps.any() else ():
+        moved = replace(rows, channels=np.roll(rows.channels, shift, axis=0))
+        if _unexplained_share(moved) < SHIFTED_SHARE * left:
+            fault = f"the readings seem to stand one row {way} than their loads"
+            return fault, "Put the readings of each load point into its row"
+    fault = (
+        f"the readings do not follow the loads, and the response to `{name}` is not told: a straight line leaves "
+        f"{100.0 * left:.2g} % of what the readings change by, and no few load series explain it"
+    )
+    return fault, "Check signs, units and columns of the loads and the order of rows and channels in each load series"
+
+
+def _unexplained_share(rows: TrimRows) -> float:
+    """Share of the changes of the readings that a straight line leaves, rms, in the median channel."""
+    x = subtract_block_means(np.hstack([rows.loads, rows.uncarried_loads]), rows.run)
+    y = subtract_block_means(rows.channels, rows.run)
+    left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+    power = np.maximum(np.sum(y**2, axis=0), np.finfo(float).tiny)
+    return float(np.median(np.sqrt(np.sum(left**2, axis=0) / power)))
 
 
 def fit_with_curvature(rows: TrimRows, components: Sequence[str]) -> TrimRegression | None:

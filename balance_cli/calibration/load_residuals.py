@@ -68,10 +68,8 @@ def load_residuals(calibration: Calibration) -> LoadResiduals | None:
     all_trims = calibration.all_trims
     if all_trims is None or not len(all_trims.loads):
         return None
-    model = all_trims.loads_model
-    used = np.asarray(np.isfinite(all_trims.residuals).all(axis=1))
-    computed = np.full(all_trims.loads.shape, np.nan)
-    computed[used], method = _computed_loads(all_trims, _readings_less_zero(all_trims, used))
+    model, used = all_trims.loads_model, all_trims.used
+    computed = computed_loads(all_trims)
     if not np.isfinite(computed).any():
         return None
     return LoadResiduals(
@@ -83,17 +81,23 @@ def load_residuals(calibration: Calibration) -> LoadResiduals | None:
         applied=all_trims.loads,
         computed=computed,
         dof_share=max(float(np.mean(model.dof)), 1.0) / int(np.count_nonzero(used)),
-        method=method,
+        method=iteration_name(all_trims) if all_trims.non_iterative is None else NON_ITERATIVE,
     )
 
 
-def _computed_loads(all_trims: AllTrimsCalibration, change: Array) -> tuple[Array, str]:
-    """Loads (m, k) from readings (m, c) [V] less the zero; NaN where the iteration does not converge."""
+def computed_loads(all_trims: AllTrimsCalibration) -> Array:
+    """Return the loads (m, k) [N, N m] of the rows that were fitted by the model or method that computes loads.
+
+    NaN in the other rows, and where the iteration does not converge.
+    """
+    computed, used = np.full(all_trims.loads.shape, np.nan), all_trims.used
+    change = _readings_less_zero(all_trims, used)
     if all_trims.non_iterative is not None:
-        return all_trims.non_iterative.loads(change), NON_ITERATIVE
+        computed[used] = all_trims.non_iterative.loads(change)
+        return computed
     loads, _ = all_trims.loads_model.loads(change)
-    finite = np.isfinite(loads).all(axis=1, keepdims=True)
-    return np.where(finite, loads, np.nan), iteration_name(all_trims)
+    computed[used] = np.where(np.isfinite(loads).all(axis=1, keepdims=True), loads, np.nan)
+    return computed
 
 
 def _readings_less_zero(all_trims: AllTrimsCalibration, used: NDArray[np.bool_]) -> Array:

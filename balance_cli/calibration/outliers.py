@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import Outlier, SuspectLoadSeries
+from balance_cli.calibration.contradicted_block import contradicted_block, contradiction_note
 from balance_cli.calibration.contradicted_series import contradicted_series, describe_contradicted_series
 from balance_cli.calibration.exclusion_test import rows_of_chance
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
@@ -51,6 +52,9 @@ def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) ->
     Everything that is excluded is listed in the result.
     """
     contradicted, given = contradicted_series(points, choice), points
+    block = contradicted_block(points, choice, contradicted)
+    if block is not None:
+        contradicted = (block.rows,) if block.is_minority else ()
     for rows in contradicted:
         points = points.exclude_rows(rows)
     gross = _gross_outliers(points, choice)
@@ -75,6 +79,8 @@ def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) ->
         number = int(np.count_nonzero(excluded))
         which = "1 row was" if number == 1 else f"{number} rows were"
         notes = (*notes, f"{which} excluded as outliers, and more remain")
+    if block is not None and not block.is_minority:
+        notes = (contradiction_note(given, fit.model, block.rows), *notes)
     suspect_series = (*describe_contradicted_series(fit.model, given, contradicted), *suspect_series)
     return ScreenedFit(fit, describe_outliers(points, fit, excluded), suspect_series, notes)
 

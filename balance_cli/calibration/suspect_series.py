@@ -59,16 +59,21 @@ def exclude_suspect_series(
 
     Raises UserError where two load series contradict each other in sign or size, and nothing tells which is wrong.
     """
-    suspect_series: list[SuspectLoadSeries] = []
-    notes: list[str] = []
+    excluded: list[Exclusion] = []
     included, fit, worst = points, *_fit_and_find_worst(points, choice)
-    while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
+    while (
+        worst is not None and len({each.load_series for one in excluded for each in one.channels}) < MAX_SUSPECT_SERIES
+    ):
         included = included.exclude_rows(worst.rows)
-        excluded = worst
+        excluded.append(worst)
         fit, worst = _fit_and_find_worst(included, choice)
-        cause = series_cause(fit.model, points, excluded.rows)
-        suspect_series += [replace(suspect, cause=cause) for suspect in excluded.channels]
-        notes += filter(None, [excluded.note])
+    # By the last fit: another wrong series, still fitted, hides what is wrong with one.
+    suspect_series = [
+        replace(suspect, cause=series_cause(fit.model, points, one.rows))
+        for one in excluded
+        for suspect in one.channels
+    ]
+    notes = [one.note for one in excluded if one.note]
     if worst is not None:
         notes.append(f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree")
     return included, fit, tuple(suspect_series), tuple(notes)

@@ -111,6 +111,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     from balance_cli.cli.scale_text import scale_evidence_of, scale_text
     from balance_cli.diagnosis.consistency.severity import measured_anyway
     from balance_cli.diagnosis.consistency.static_units import matrix_unit_findings
+    from balance_cli.steps.residual_findings import residual_findings
     from balance_cli.steps.trim_agreement import trim_findings
 
     choices = _Choices(**options)
@@ -127,6 +128,8 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     else:
         checks = _select_static_hold_out(session, held_out())
         result = read_matrix_calibration(session, rig, choices.from_matrix, checks)
+    residual = residual_findings(result)
+    report_findings(session, residual)
     _warn(session, result)
     report_findings(session, (*trim_findings(result), *matrix_unit_findings(result)))
     session.save(output, CALIBRATION_FORMAT, with_findings(session, result))
@@ -136,7 +139,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
         session.write_text(choices.linear_matrix, linear_matrix_text(result, choices.linear_matrix))
     compared = bool(choices.against)
     summary = {**calibration_summary(result), "scale_evidence": scale_evidence_of(result, compared)}
-    text = [*calibration_text(result), *scale_text(result, compared)]
+    text = [*(finding.sentence for finding in residual), *calibration_text(result), *scale_text(result, compared)]
     if choices.against:
         summary |= compare_with_earlier(session, result, choices.against, output.name, text)
     session.finish(summary, text)

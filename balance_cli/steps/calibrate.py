@@ -31,17 +31,24 @@ from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.independence import LARGEST_CONDITION
-from balance_cli.campaign.rig.load_components import LoadComponents, load_components
+from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity_of_runs
 from balance_cli.steps.load_point_rows import load_point_rows
 from balance_cli.steps.temperature_correction import fit_without_temperature
-from balance_cli.steps.trim_tasks import TrimTask, fitted_tasks, rows_of_tasks, run_place, trim_tasks
+from balance_cli.steps.trim_tasks import (
+    TrimTask,
+    check_attitudes,
+    check_loaded,
+    fitted_tasks,
+    rows_of_tasks,
+    run_place,
+    trim_tasks,
+    with_contradiction,
+)
 
 Array = NDArray[np.float64]
 
-MIN_LOAD_VARIATION = 0.01
-"""Variation of a load over its largest value below which it counts as constant: above load noise, below any step."""
 MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0
 """Standard errors by which the least singular value of C0 must differ from zero for it to determine the loads."""
 MIN_NULL_SHARE = 0.1
@@ -75,7 +82,7 @@ def calibrate(
             column = f"{components.names[0]} [{components.units[0]}]"
             remedy = f"Record the applied loads. In a table they are columns such as `{column}` or `applied {column}`"
             raise UserError("a static run without loads", run_place(run), "loads", remedy)
-    _check_attitudes(static, components)
+    check_attitudes(static, components)
 
     def fit(at_reference: Sequence[Run], held_out: Sequence[Run]) -> Calibration:
         return _calibrate_static(at_reference, geometry, choice, held_out, non_iterative)
@@ -98,20 +105,15 @@ def _calibrate_static(
             trims[label] = _calibrate_trim(task)
         except UserError as error:
             # Without the excluded rows the trim is not determined; with all of them it may be.
-            trims[label] = _calibrate_trim(replace(tasks[label], calibrated_range=task.calibrated_range))
+            try:
+                trims[label] = _calibrate_trim(replace(tasks[label], calibrated_range=task.calibrated_range))
+            except UserError as second:
+                raise with_contradiction(second, all_trims) from None
             notes.append(f"trim {label}: C0 and T0 include the excluded rows: without them {error.fault}")
     if all_trims is not None and notes:
         all_trims = replace(all_trims, screening_notes=(*all_trims.screening_notes, *notes))
     trims = {label: with_rated_loads(trim, geometry) for label, trim in trims.items()}
     return Calibration(geometry, trims, all_trims)
-
-
-def _check_attitudes(runs: Sequence[Run], components: LoadComponents) -> None:
-    """Raise UserError for attitudes with components of the user's own: the weight is computed for hub loads only."""
-    for run in runs:
-        if run.attitude is not None and not components.are_hub_loads:
-            fault = f"states attitudes, but the components are {', '.join(components.names)}"
-            raise UserError(fault, run_place(run), "attitude", "Declare Fx to Mz as `components` of the geometry")
 
 
 def _check_task(task: TrimTask) -> None:
@@ -121,7 +123,7 @@ def _check_task(task: TrimTask) -> None:
         fault = f"{c} usable channels cannot determine {k} load components{task.left_out_note}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig or its `components`")
     rows = _stack_rows(task)
-    _check_loaded(task, rows)
+    check_loaded(task, rows)
     _regress(task, rows)
 
 
@@ -135,7 +137,7 @@ def _calibrate_trim(task: TrimTask) -> TrimCalibration:
 def _regress_with_zeros(task: TrimTask) -> tuple[TrimRows, TrimRegression]:
     """Regression with one zero for each run or, where these explain significantly more, for each load series."""
     by_run = _stack_rows(replace(task, rows=tuple(replace(each, load_series=None) for each in task.rows)))
-    _check_loaded(task, by_run)
+    check_loaded(task, by_run)
     regression = _regress(task, by_run)
     rows = _stack_rows(task)
     try:
@@ -177,15 +179,6 @@ def _stack_rows(task: TrimTask) -> TrimRows:
         block = np.concatenate(known)
     block = np.unique(block[used], return_inverse=True)[1].astype(np.intp)
     return TrimRows(channels[used], carried[used], uncarried[used], block, 1.0 / task.noise.relative[run[used]])
-
-
-def _check_loaded(task: TrimTask, rows: TrimRows) -> None:
-    """Raise UserError for a component whose load did not change."""
-    spread, size = np.ptp(rows.loads, axis=0), np.max(np.abs(rows.loads), axis=0)
-    for name, varied in zip(task.components, spread > MIN_LOAD_VARIATION * size, strict=True):
-        if not varied:
-            remedy = f"Apply `{name}` in steps about this trim, or leave it out of the `components` in the geometry"
-            raise task.error(f"`{name}` was never loaded", remedy)
 
 
 def _check_significance(task: TrimTask, rows: TrimRows, regression: TrimRegression) -> None:

@@ -1,4 +1,7 @@
-"""What contradicts the static loads of points: loads that are known beside them, and zeros in another unit."""
+"""What contradicts the static loads of points.
+
+Loads that are known beside them, zeros in another unit, and a calibration that does not describe its own loads.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.large_residual import describe_large_residuals, large_residuals
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.series_causes import SAME_FACTOR, UNIT_FACTORS
 from balance_cli.calibration.trim_model import WITHOUT_ZEROS
@@ -35,10 +39,12 @@ def flag_contradicted(
     runs: Sequence[PointLoads], readings: Sequence[PointReadings], calibration: Calibration
 ) -> tuple[list[PointLoads], list[str]]:
     """Return the loads of runs, with those flagged that something contradicts, and what that is, in sentences."""
-    flagged, sentences = [], []
+    large = large_residuals(calibration.all_trims)
+    flagged, sentences = [], [*filter(None, [describe_large_residuals(large)])]
     for loads, rows in zip(runs, readings, strict=True):
         unit, wrong = _unit_of_zeros(rows, calibration), _wrong_components(loads)
-        names = loads.components if unit else tuple(wrong)
+        named = {*loads.components} if unit else {*wrong, *(each.component for each in large)}
+        names = tuple(name for name in loads.components if name in named)
         flags = tuple(_with_names(flag, names) for flag in loads.flags) if names else loads.flags
         flagged.append(replace(loads, flags=flags))
         sentences += [*filter(None, [unit]), *wrong.values()]

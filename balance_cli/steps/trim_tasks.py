@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims_result import AllTrimsCalibration
+from balance_cli.calibration.contradicted_block import UNDECIDED
 from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.static_matrices import TrimRows
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -19,6 +21,9 @@ from balance_cli.steps.calibrate_all_trims import AllTrimRows
 from balance_cli.steps.load_point_rows import LoadPointRows, RowNoise, measure_row_noise
 
 Array = NDArray[np.float64]
+
+MIN_LOAD_VARIATION = 0.01
+"""Variation of a load over its largest value below which it counts as constant: above load noise, below any step."""
 
 
 @dataclass(frozen=True)
@@ -119,3 +124,27 @@ def _usable_channels(runs: Sequence[Run], geometry: Geometry) -> tuple[tuple[str
     return tuple(name for name in constant if name not in left_out), {
         name: reason for name, reason in left_out.items() if name in constant
     }
+
+
+def check_attitudes(runs: Sequence[Run], components: LoadComponents) -> None:
+    """Raise UserError for attitudes with components of the user's own: the weight is computed for hub loads only."""
+    for run in runs:
+        if run.attitude is not None and not components.are_hub_loads:
+            fault = f"states attitudes, but the components are {', '.join(components.names)}"
+            raise UserError(fault, run_place(run), "attitude", "Declare Fx to Mz as `components` of the geometry")
+
+
+def with_contradiction(error: UserError, all_trims: AllTrimsCalibration | None) -> UserError:
+    """Return the error of a trim with what contradicts in its rows, where the model of all trims says that."""
+    notes = () if all_trims is None else all_trims.screening_notes
+    note = next((note for note in notes if note.endswith(UNDECIDED)), "")
+    return UserError(f"{error.fault}; {note}", error.file, error.place, error.remedy) if note else error
+
+
+def check_loaded(task: TrimTask, rows: TrimRows) -> None:
+    """Raise UserError for a component whose load did not change."""
+    spread, size = np.ptp(rows.loads, axis=0), np.max(np.abs(rows.loads), axis=0)
+    for name, varied in zip(task.components, spread > MIN_LOAD_VARIATION * size, strict=True):
+        if not varied:
+            remedy = f"Apply `{name}` in steps about this trim, or leave it out of the `components` in the geometry"
+            raise task.error(f"`{name}` was never loaded", remedy)

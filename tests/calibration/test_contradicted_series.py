@@ -10,17 +10,17 @@ from balance_cli.campaign.rig.components import COMPONENTS
 SERIES, ROWS = 8, 12
 
 
-def _calibrate(mistake, seed=0, curvature=2e-3):
-    """Calibrate with eight stated series of ten rows of loads by chance and two tares; series 3 has the mistake."""
+def _calibrate(mistake, seed=0, curvature=2e-3, count=SERIES, bad=(3,)):
+    """Calibrate with stated series of ten rows of loads by chance and two tares; the `bad` ones have the mistake."""
     rng = np.random.default_rng(seed)
-    x = rng.uniform(-1.0, 1.0, (SERIES * ROWS, 6))
+    x = rng.uniform(-1.0, 1.0, (count * ROWS, 6))
     x[::ROWS] = x[ROWS - 1 :: ROWS] = 0.0
-    series = np.repeat(np.arange(SERIES), ROWS)
+    series = np.repeat(np.arange(count), ROWS)
     linear = np.eye(6) + 0.05 * rng.normal(size=(6, 6))
     products = np.stack([x[:, i] * x[:, j] for i in range(6) for j in range(i, 6)], axis=1)
     read = x @ linear + products @ (curvature * rng.normal(size=(21, 6)))
-    read += 5e-4 * rng.normal(size=(SERIES, 6))[series] + 2e-5 * rng.normal(size=read.shape)
-    mistake(x, read, series == 3)
+    read += 5e-4 * rng.normal(size=(count, 6))[series] + 2e-5 * rng.normal(size=read.shape)
+    mistake(x, read, np.isin(series, bad))
     labels = tuple(str(number + 1) for number in series)
     points = CalibrationPoints(
         tuple(f"g{c + 1}" for c in range(6)),
@@ -77,3 +77,11 @@ def test_one_wrong_row_is_no_wrong_series():
 
     whole, _ = _calibrate(slip, seed=2)
     assert whole.suspect_series == () and [each.row for each in whole.outliers] == [41]
+
+
+@pytest.mark.parametrize(("count", "bad"), [(5, (1, 3)), (8, (1, 3, 6))])
+def test_a_minority_of_wrong_series_is_excluded(count, bad):
+    """Two of five, or three of eight: the calibration was refused, as if a load had hardly been applied."""
+    whole, linear = _calibrate(_other_sign, count=count, bad=bad)
+    assert {each.load_series.split(" ")[2] for each in whole.suspect_series} == {str(ROWS * each + 1) for each in bad}
+    np.testing.assert_allclose(whole.model.coefficients[:6] / whole.model.calibrated_range[:, None], linear, atol=5e-3)

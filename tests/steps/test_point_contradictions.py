@@ -7,7 +7,9 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from balance_cli.calibration.result import Calibration
 from balance_cli.cli import balance
+from balance_cli.io.artefacts import load_artefact
 
 LINEAR = np.eye(6) + 0.1 * np.random.default_rng(1).normal(size=(6, 6))
 ZERO = np.array([0.2, -0.3, 0.1, 0.4, -0.15, 0.25])
@@ -78,3 +80,23 @@ def test_zeros_tell_a_wrong_unit_of_the_readings(calibrated):
     said, flags = _apply(calibrated, lambda loads: loads.fill(0.0), unit="uV/V")
     assert "the zeros of its channels are a thousandth of those of the calibration" in said
     assert all("model contradicted Fx Fy Fz Mx My Mz" in flag for flag in flags)
+
+
+def test_a_calibration_that_does_not_describe_its_own_loads_says_so_first_and_flags_loads(calibrated, tmp_path):
+    """Fy of every other series is 0.8 of the true one: sigma contains it, but nothing had said so."""
+    rng = np.random.default_rng(4)
+    series = np.repeat(np.arange(8), 10)
+    loads = rng.uniform(-100.0, 100.0, (80, 6))
+    loads[::10] = 0.0
+    stated = loads * np.where((series % 2 == 1)[:, None], [1.0, 0.8, 1.0, 1.0, 1.0, 1.0], 1.0)
+    _write(tmp_path / "points.csv", series, loads, rng, stated)
+    made = _invoke("calibrate", "-g", calibrated / "g.yaml", tmp_path / "points.csv", "-o", tmp_path / "cal.h5")
+    words = "the calibration does not describe its own loads"
+    assert made.exit_code == 0 and made.stdout.startswith(words) and words in made.stderr
+    stored = load_artefact(tmp_path / "cal.h5", {"balance-calibration/1": Calibration}).content
+    assert stored.consistency[0].startswith(words)
+    _write(tmp_path / "t.csv", np.zeros(21, int), loads[:21], rng)
+    done = _invoke("apply", tmp_path / "cal.h5", tmp_path / "t.csv", "-o", tmp_path / "l.csv")
+    assert words in done.stderr
+    with (tmp_path / "l.csv").open() as file:
+        assert all("model contradicted Fy" in row["flag"] for row in csv.DictReader(file))

@@ -30,6 +30,7 @@ NOISE_LEVEL = "noise level"
 LOADED_TARE = "loaded tare"
 DELAY = "delay"
 COPIED_RECORD = "copied record"
+LARGE_RESIDUAL = "large residual"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -53,6 +54,7 @@ KINDS = (
     LOADED_TARE,
     DELAY,
     COPIED_RECORD,
+    LARGE_RESIDUAL,
 )
 
 
