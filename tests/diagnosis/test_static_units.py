@@ -123,6 +123,28 @@ def test_rated_loads_name_the_unit_where_all_components_agree(unit: str, letter:
     assert campaign_findings(rated_only(letter, runs, shares), in_units(runs, force, moment)) == ()
 
 
+@pytest.mark.parametrize(
+    ("component", "factor", "words"),
+    [
+        (2, POUND_FORCE, "Fz was loaded to 0.225 of its rated load and the other components to 1"),
+        (4, POUND_FORCE * INCH, "(loads in in lbf, not in N m?)"),
+        (0, STANDARD_GRAVITY, "(loads in kgf, not in N?)"),
+        (1, 1.0 / POUND_FORCE, "(a rated load in lbf, not in N?)"),
+    ],
+)
+def test_rated_loads_name_the_unit_of_one_component(component: int, factor: float, words: str) -> None:
+    """A component in lbf throughout is consistent with itself: its loads were 4.4 times too small in silence."""
+    runs = statics("A")
+    shares = np.array([0.99, 1.02, 1.0, 0.98, 1.0, 1.01])
+    shares[component] = 1.0 / factor
+    (finding,) = campaign_findings(rated_only("A", runs, shares), runs)
+    assert finding.severity == WARNING and words in finding.text and finding.components == (COMPONENTS[component],)
+    for sound in (0.25, 0.5, 0.7, 2.0):
+        shares[component] = sound
+        assert campaign_findings(rated_only("A", runs, shares), runs) == ()
+    assert campaign_findings(rated_only("A", runs, np.array([0.9, 0.4, 0.6, 0.3, 0.1126, 0.7])), runs) == ()
+
+
 def test_rated_loads_count_only_where_cells_do_not_tell() -> None:
     """A tenth of the rated loads is no unit where equilibrium says that it is right."""
     rig, runs = calibrated_only("A"), statics("A")

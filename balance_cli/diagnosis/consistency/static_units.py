@@ -17,10 +17,16 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.equilibrium import Equilibrium, equilibrium
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
-from balance_cli.campaign.rig.load_components import load_components
+from balance_cli.campaign.rig.load_components import LoadComponents, load_components
 from balance_cli.diagnosis.consistency.findings import LOAD_FACTOR, WARNING, ConsistencyFinding
-from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, VOLT_UNITS, suggest_units
-from balance_cli.io.units import FORCE
+from balance_cli.diagnosis.consistency.units import (
+    FORCE_UNITS,
+    MOMENT_UNITS,
+    UNIT_TOLERANCE,
+    VOLT_UNITS,
+    suggest_units,
+)
+from balance_cli.io.units import FORCE, INCH, POUND_FORCE, STANDARD_GRAVITY
 from balance_cli.signals.response_rows import response_rows
 
 if TYPE_CHECKING:
@@ -38,6 +44,12 @@ FEWEST_COMPONENTS = 2
 """Components with one factor: a single one may depend on one cell, whose sensitivity is wrong."""
 RATED_TOLERANCE = 0.1
 """Departure from a rated load, as a logarithm, of loads that were applied up to it."""
+SINGLE_FORCE_UNITS = {"lbf": POUND_FORCE, "kgf": STANDARD_GRAVITY}
+"""Units in which a single component is stated by mistake; of those of a thousand the size alone tells."""
+SINGLE_MOMENT_UNITS = {"in lbf": POUND_FORCE * INCH, "kgf m": STANDARD_GRAVITY}
+"""The same of moments: in ft lbf one is 1.36 times too small, which a schedule may be, too."""
+MOST_OF_RATED = 0.4
+"""Logarithm of the share of the rated loads to which all others were loaded, at the most: to about all of it."""
 FEWEST_RATED = 3
 """Components that were loaded to one share of their rated loads: two may be by accident."""
 
@@ -130,6 +142,7 @@ def _rated_findings(geometry: Geometry, runs: Sequence[Run]) -> Iterator[Consist
     is_force = np.array(components.units) == FORCE
     if len(share) < FEWEST_RATED or not np.all(share > 0.0):
         return
+    yield from _one_in_another_unit(components, share, tuple(run.name for run in runs))
     forces, moments = _units_of_all(share[is_force], FORCE_UNITS), _units_of_all(share[~is_force], MOMENT_UNITS)
     if not (forces or moments) or (is_force.any() and not forces) or (not is_force.all() and not moments):
         return
@@ -138,6 +151,28 @@ def _rated_findings(geometry: Geometry, runs: Sequence[Run]) -> Iterator[Consist
     text = f"the largest static loads over the rated ones are {shown}: are they in {units}, or were they so small?"
     names = tuple(run.name for run in runs)
     yield ConsistencyFinding(LOAD_FACTOR, WARNING, text, names, True, components=components.names)
+
+
+def _one_in_another_unit(
+    components: LoadComponents, share: Array, runs: tuple[str, ...]
+) -> Iterator[ConsistencyFinding]:
+    """Yield a warning where one share (k,) of a rated load differs by a unit from the others, which are alike."""
+    for j, name in enumerate(components.names):
+        others = np.log(np.delete(share, j))
+        common = float(np.median(others))
+        if len(others) < FEWEST_RATED or np.ptp(others) > LARGEST_SPREAD or not abs(common) < MOST_OF_RATED:
+            continue
+        units = SINGLE_FORCE_UNITS if components.units[j] == FORCE else SINGLE_MOMENT_UNITS
+        ratio = common - float(np.log(share[j]))
+        written = [unit for unit, value in units.items() if abs(ratio - np.log(value)) < UNIT_TOLERANCE]
+        rated = [unit for unit, value in units.items() if abs(ratio + np.log(value)) < UNIT_TOLERANCE]
+        if written or rated:
+            doubt = f"{'loads' if written else 'a rated load'} in {' or '.join(written or rated)}"
+            text = (
+                f"{name} was loaded to {share[j]:.3g} of its rated load and the other components to "
+                f"{np.exp(common):.3g} of theirs ({doubt}, not in {components.units[j]}?)"
+            )
+            yield ConsistencyFinding(LOAD_FACTOR, WARNING, text, runs, True, components=(name,), factor=share[j])
 
 
 def _units_of_all(share: Array, units: dict[str, float]) -> list[str]:
