@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.comparison import coefficients_at_range, model_at_temperature, require_same_balance
+from balance_cli.calibration.gain_trend import GainTrend, gain_trends
 from balance_cli.calibration.result import Calibration
 from balance_cli.signals import distributions as stats
 
@@ -69,10 +70,14 @@ class CoefficientHistory:
 
 @dataclass(frozen=True)
 class ControlChart:
-    """The coefficients that all calibrations have, `names`, the oldest first, by rising p-value of their drift."""
+    """The coefficients that all calibrations have, `names`, the oldest first, by rising p-value of their drift.
+
+    `gain_trends`: the channels whose gain for all loads rises or falls from calibration to calibration.
+    """
 
     names: tuple[str, ...]
     coefficients: tuple[CoefficientHistory, ...]
+    gain_trends: tuple[GainTrend, ...] = ()
 
     @property
     def p_limit(self) -> float:
@@ -134,7 +139,10 @@ def alarms_since(charts: Sequence[ControlChart]) -> dict[tuple[str, str], str]:
 
 @dataclass(frozen=True, eq=False)
 class _CoefficientTable:
-    """Coefficients (n, p, c) of n calibrations and their variances, with degrees of freedom (n,) and units (c,)."""
+    """Coefficients (n, p, c) of n calibrations and their variances, with degrees of freedom (n,) and units (c,).
+
+    The first `linear` are those of the loads alone.
+    """
 
     names: tuple[str, ...]
     channels: tuple[str, ...]
@@ -143,6 +151,7 @@ class _CoefficientTable:
     values: Array
     variances: Array
     dof: Array
+    linear: int
 
 
 def _collect_coefficients(named: Sequence[tuple[str, Calibration]]) -> _CoefficientTable:
@@ -158,7 +167,7 @@ def _collect_coefficients(named: Sequence[tuple[str, Calibration]]) -> _Coeffici
     units = {channel.name: channel.reading_unit for channel in named[-1][1].geometry.channels}
     dof = np.array([float(np.min(model.dof)) for model in models])
     names, channel_units = tuple(name for name, _ in named), tuple(units[channel] for channel in channels)
-    return _CoefficientTable(names, channels, terms, channel_units, values, variances, dof)
+    return _CoefficientTable(names, channels, terms, channel_units, values, variances, dof, len(newest.components))
 
 
 def _chart_of_first(table: _CoefficientTable, n: int) -> ControlChart:
@@ -172,7 +181,8 @@ def _chart_of_first(table: _CoefficientTable, n: int) -> ControlChart:
         if np.all(values[:, i, c] != 0.0)
     ]
     ranked = sorted(histories, key=lambda each: np.nan_to_num(each.drift_p, nan=2.0))
-    return ControlChart(table.names[:n], tuple(ranked))
+    trends = gain_trends(table.channels, values[:, : table.linear], variances[:, : table.linear])
+    return ControlChart(table.names[:n], tuple(ranked), trends)
 
 
 def _history(key: tuple[str, str, str], values: Array, variance: Array, dof: Array) -> CoefficientHistory:

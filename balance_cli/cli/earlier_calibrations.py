@@ -60,6 +60,7 @@ def _chart_summary(chart: ControlChart) -> dict[str, Any]:
         "drifting": len(chart.drifting_coefficients),
         "scattering": len(chart.scattering_coefficients),
         "out_of_control": len(chart.out_of_control),
+        "gain_trends": [vars(trend) for trend in chart.gain_trends],
         "coefficients": list(chart_rows(chart)),
     }
 
@@ -72,6 +73,7 @@ def _chart_text(chart: ControlChart) -> Iterator[str]:
         f"{len(chart.coefficients)} coefficients drift, {len(scattering)} differ by more than their errors, "
         f"{len(outside)} of the newest are beyond their limits"
     )
+    yield from (f"  {trend.sentence}" for trend in chart.gain_trends)
     named = tuple(dict.fromkeys((*outside, *drifting, *scattering)))
     for each in named[:MOST_LINES]:
         yield f"  {_history_text(each)}"

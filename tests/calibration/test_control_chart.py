@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.calibration.control_chart import control_chart
+from balance_cli.calibration.gain_trend import gain_trends
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.cli import balance
@@ -105,3 +106,24 @@ def test_the_call(tmp_path):
     assert json.loads((tmp_path / "j.json").read_text())["control_chart"] is None
     twice = ["--against", tmp_path / "0.h5", "--against", tmp_path / "0.h5"]
     assert "is given twice" in call(5, 1.0, *twice, status=2)
+
+
+def test_a_gain_that_rises_beside_scatter_is_named_in_a_sentence():
+    """0.3 % a calibration beside gains that scatter by 0.05 %: single coefficients have two degrees of freedom."""
+    rng = np.random.default_rng(7)
+    mean = np.eye(6) + 0.05 * rng.normal(size=(6, 6))
+
+    def trends(slope, scatter=5e-4, n=4):
+        gains = 1.0 + scatter * rng.normal(size=(n, 6))
+        gains[:, 2] += slope * np.arange(n)
+        values = gains[:, None, :] * mean + 1e-5 * rng.normal(size=(n, 6, 6))
+        return gain_trends(list("abcdef"), values, np.full(values.shape, 1e-10))
+
+    named = [trends(3e-3) for _ in range(20)]
+    assert sum(bool(each) and each[0].channel == "c" for each in named) >= 19
+    trend = trends(3e-3, 1e-4)[0]
+    assert trend.slope == pytest.approx(3e-3, rel=0.1)
+    assert trend.sentence.startswith("c: its gain for all loads rises by 0.31 % a calibration, +0.92 % over all 4")
+    assert sum(bool(trends(0.0)) for _ in range(200)) <= 6
+    assert trends(3e-3, n=2) == ()
+    assert [each.channel for each in chart([1.0, 1.003, 1.006, 1.009]).gain_trends] == ["B0"]
