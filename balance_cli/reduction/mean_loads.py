@@ -30,6 +30,13 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+MEANS_REMOVED = (
+    "the channels have means of zero, closer than their noise permits: were the means taken out of the record? "
+    "Give the record as it was measured"
+)
+"""Note on a run without mean loads."""
+
+
 @dataclass(frozen=True)
 class MeanLoads:
     """Mean loads (m,) [N, N m] of the named components with sigma (m,).
@@ -51,10 +58,10 @@ class MeanLoads:
     method: str = MATRIX
 
 
-def unmeasured_mean_loads(components: tuple[str, ...]) -> MeanLoads:
-    """Return mean loads that no static calibration measures: NaN, each with the flag NOT_MEASURED."""
-    unknown, flags = np.full(len(components), np.nan), (NOT_MEASURED,) * len(components)
-    return MeanLoads(components, unknown, unknown, "", flags, float("nan"), float("nan"), float("nan"), method="")
+def unmeasured_mean_loads(components: tuple[str, ...], note: str = "") -> MeanLoads:
+    """Return mean loads that no static calibration or no record measures: NaN, each with the flag NOT_MEASURED."""
+    unknown, flags, nan = np.full(len(components), np.nan), (NOT_MEASURED,) * len(components), float("nan")
+    return MeanLoads(components, unknown, unknown, "", flags, nan, nan, nan, note, method="")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_respon
 from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.load_fluctuation import add_load_fluctuation
 from balance_cli.reduction.mean_attitude import without_change_of_weight, zero_in_attitude
-from balance_cli.reduction.mean_loads import MeanLoads, linear_mean_loads, unmeasured_mean_loads
+from balance_cli.reduction.mean_loads import MEANS_REMOVED, MeanLoads, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
 from balance_cli.reduction.reliability import UnnoticedErrors, unnoticed_errors
@@ -41,7 +41,7 @@ from balance_cli.reduction.static_disagreement import add_static_disagreement
 from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
 from balance_cli.reduction.vibration_shift import read_deviations
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
-from balance_cli.reduction.wind_off import ZeroRecord
+from balance_cli.reduction.wind_off import ZeroRecord, means_are_removed
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
@@ -198,6 +198,8 @@ def _mean_loads(
     """Return the mean loads by the calibration, with what else makes them uncertain."""
     if calibration is None:
         return add_gain_error(unmeasured_mean_loads(record.components), source)
+    if means_are_removed(record, calibration):
+        return add_gain_error(unmeasured_mean_loads(record.components, MEANS_REMOVED), source)
     loads = _calibrated_mean_loads(record, calibration, zero)
     loads = add_resting_forces(loads, record, calibration, source, zero is not None)
     loads = add_static_disagreement(loads, record.health, calibration, source)
@@ -243,13 +245,13 @@ def _combine_loads(
     geometry: Geometry,
 ) -> RunLoads:
     """Return the loads with harmonic 0 from the mean loads and the others from the harmonic loads."""
-    spectra, m = record.spectra, len(mean_solution.components)
+    run, spectra, m = record.run, record.spectra, len(mean_solution.components)
     variance = np.diagonal(harmonic_solution.inflated_covariance, axis1=1, axis2=2)
     unmeasured = np.isnan(mean_solution.loads)
     mean = np.where(unmeasured, complex(np.nan, np.nan), mean_solution.loads)
     return RunLoads(
-        run=record.run.name,
-        kind=record.run.kind,
+        run=run.name,
+        kind=run.kind,
         response=source.description,
         trim=mean_solution.trim,
         components=mean_solution.components,
@@ -264,15 +266,10 @@ def _combine_loads(
         left_out=record.health.left_out,
         interval=spectra.interval,
         rotor=None if record.rotor == 1 else record.rotor,
-        conditions=_conditions(record.run),
+        conditions=RunConditions(run.rotor_speed, run.recorded, run.note, dict(run.conditions)),
         mean_method=mean_solution.method or None,
         unnoticed=_unnoticed_errors(record, geometry, source, harmonic_solution),
     )
-
-
-def _conditions(run: Run) -> RunConditions:
-    """Return under which conditions a run was made, as its file states them."""
-    return RunConditions(run.rotor_speed, run.recorded, run.note, dict(run.conditions))
 
 
 def _add_dynamic_error(

@@ -9,8 +9,10 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.wind_off import ZERO_SEGMENTS, zero_record
 from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.reduce import reduce_run
 from balance_cli.steps.reduction_inputs import compared_zero
 from tests.support.nonlinear_rig import NAMES, record
 from tests.support.static_runs import AMPLITUDE, C0, RIG, loading, static_run
@@ -48,3 +50,16 @@ def test_a_channel_that_the_zero_alone_lacks_is_named() -> None:
     zero, warning = compared_zero([dead], calibration, wind)
     assert zero is not None and NAMES[2] not in zero.channel_names
     assert warning.startswith(f"mean loads do without {NAMES[2]} (")
+
+
+def test_a_record_without_means_measures_no_mean_loads(campaign, calibration, identified):
+    """All mean loads had been those of a rig without load, with an empty flag."""
+    run, source = campaign.runs_of_kind("wind")[0], model_source(identified)
+    volts = np.asarray(run.read().channels)
+    without = replace(run, source=MemorySource(volts - volts.mean(axis=0), None))
+    loads = reduce_run(without, campaign.geometry, calibration, source)
+    assert np.isnan(loads.amplitude[0]).all() and all("not measured" in flag for flag in loads.flags[0])
+    assert any("were the means taken out of the record?" in note for note in loads.notes)
+    sound = reduce_run(run, campaign.geometry, calibration, source)
+    np.testing.assert_allclose(loads.amplitude[1:], sound.amplitude[1:], rtol=1e-4, atol=1e-4)
+    assert np.isfinite(sound.amplitude[0]).all()

@@ -195,7 +195,9 @@ def harmonic_drift(values: ComplexArray, reported: ComplexArray, sigma: Array, m
     if len(values) < FEWEST_WINDOWS or not values.size:
         return np.zeros(sigma.shape)
     remainder = step_remainder(values, reported, 1.0 if mean_changes else BEYOND_CHANCE)
-    error = np.hypot(common_drift(values) * np.abs(reported), remainder)
+    order = np.arange(1, values.shape[1] + 1)[:, None]
+    common = np.hypot(common_drift(values), order * common_turn_drift(values))
+    error = np.hypot(common * np.abs(reported), remainder)
     return np.where(error > sigma, error, 0.0)
 
 
@@ -218,11 +220,36 @@ def common_drift(values: ComplexArray) -> float:
     if values[0].size < FEWEST_HARMONICS:
         return 0.0
     changes = relative_changes(values.reshape(len(values), -1, 1))
-    gain = changes.series[:, 0, 0]
-    # Modes that outlast a window correlate the noise of one harmonic; of several at once, none does.
-    scatter = max(float(changes.scatter[0, 0]), float(window_scatter(gain)))
-    wander = float(np.abs(np.cumsum(gain - gain.mean())).max())
-    if wander <= critical_sum(len(gain), 2 * FEWEST_HARMONICS) * scatter * np.sqrt(len(gain)):
+    return _half_change(changes.series[:, 0, 0], float(changes.scatter[0, 0]))
+
+
+def common_turn_drift(values: ComplexArray) -> float:
+    """Return half of the turn [rad] by which harmonic n of all loads of windows (w, n, m) turns n times; 0 as above.
+
+    The pulses and the samples of a record then have clocks of their own, or the mark on the rotor moves.
+    """
+    if values[0].size < FEWEST_HARMONICS:
         return 0.0
-    part = max(len(gain) // ENDS, 2)
-    return 0.5 * max(float(largest_change(gain)), abs(float(gain[-part:].mean() - gain[:part].mean())))
+    order, size = np.arange(1.0, values.shape[1] + 1)[:, None], values.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(size != 0.0, values / size, 1.0)
+        scatter = np.maximum(window_scatter(values.real), window_scatter(values.imag))
+        precision = np.where(scatter > 0.0, np.abs(order * size) ** 2 / scatter**2, 0.0)
+    weight = np.minimum(precision, np.sort(precision, axis=None)[-FEWEST_HARMONICS])
+    if not weight.any():
+        return 0.0
+    turn = (weight / order * ratio.imag).sum(axis=(1, 2)) / weight.sum()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = np.where(precision > 0.0, weight**2 / precision, 0.0).sum()
+    return _half_change(turn, float(np.sqrt(known)) / float(weight.sum()))
+
+
+def _half_change(series: Array, scatter: float) -> float:
+    """Return half of what a series (w,) of windows changes by, 0 where its scatter or that given explains it."""
+    # Modes that outlast a window correlate the noise of one harmonic; of several at once, none does.
+    scatter = max(scatter, float(window_scatter(series)))
+    wander = float(np.abs(np.cumsum(series - series.mean())).max())
+    if wander <= critical_sum(len(series), 2 * FEWEST_HARMONICS) * scatter * np.sqrt(len(series)):
+        return 0.0
+    part = max(len(series) // ENDS, 2)
+    return 0.5 * max(float(largest_change(series)), abs(float(series[-part:].mean() - series[:part].mean())))
