@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from balance_cli.campaign.recording.point_loads import with_hub_loads
@@ -62,27 +62,34 @@ def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run,
 
     Raises UserError where a file cannot be read, a run belongs to another rig, or two runs have one name.
     """
-    items = [runs] if isinstance(runs, Run | str | os.PathLike) else runs
-    opened: dict[str, Run] = {}
+    items = [runs] if isinstance(runs, Run | str | os.PathLike) else list(runs)
     for item in items:
         if not isinstance(item, Run | str | os.PathLike):
             raise TypeError(f"`runs` must be runs or paths, not {type(item).__name__}")
-        for run in (item,) if isinstance(item, Run) else _open(Path(item), geometry):
-            for mismatch in geometry_mismatches(run, geometry):
-                raise mismatch
-            if run.name in opened:
-                raise UserError(f"two runs are named `{run.name}`", run.file, "run", "Give each run once")
-            opened[run.name] = with_hub_loads(run, geometry)
+    opened: dict[str, Run] = {}
+    for run in _open([item if isinstance(item, Run) else Path(item) for item in items], geometry):
+        for mismatch in geometry_mismatches(run, geometry):
+            raise mismatch
+        if run.name in opened:
+            raise UserError(f"two runs are named `{run.name}`", run.file, "run", "Give each run once")
+        opened[run.name] = with_hub_loads(run, geometry)
     return tuple(opened.values())
 
 
-def _open(path: Path, geometry: Geometry) -> tuple[Run, ...]:
-    """The run of a file, or the static runs of a point table, which its name tells."""
-    if path.suffix.lower() not in TABLE_SUFFIXES:
-        return (read_run(path),)
-    from balance_cli.campaign.recording.load_table import read_load_table, runs_of_table
+def _open(items: Sequence[Run | Path], geometry: Geometry) -> Iterator[Run]:
+    """The runs, those of files, and the static ones of point tables, which their names tell, at the end."""
+    tables = [item for item in items if isinstance(item, Path) and item.suffix.lower() in TABLE_SUFFIXES]
+    for item in items:
+        if item not in tables:
+            yield item if isinstance(item, Run) else read_run(item)
+    if tables:
+        from balance_cli.campaign.recording.load_table import read_load_table, runs_of_table
+        from balance_cli.campaign.recording.single_load_tables import joined_single_loads
 
-    return runs_of_table(read_load_table(path, geometry), geometry)
+        read = [read_load_table(path, geometry) for path in tables]
+        joined = joined_single_loads(read)
+        for table in read if joined is None else [joined]:
+            yield from runs_of_table(table, geometry)
 
 
 def require_band(band: tuple[float, float] | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -120,21 +120,44 @@ def open_static_runs(
     paths, used = tuple(paths), tuple(disjoint_from)
     files = [path for path in paths if not is_point_table(path)]
     runs = list(session.runs(files, geometry, skip_bad, role, used)) if files else []
-    for path in paths:
-        if not is_point_table(path):
-            continue
-        for run in runs_of_table(open_table(session, path, geometry, reading, role), geometry):
+    for table in _open_tables(session, [path for path in paths if path not in files], geometry, reading, role):
+        for run in runs_of_table(table, geometry):
             if run.name in {other.name for other in (*used, *runs)}:
                 fault = f"has the run `{run.name}`, which another file has too"
-                raise UserError(fault, str(path), remedy="Rename one of the two, and give each file once")
+                raise UserError(fault, str(table.path), remedy="Rename one of the two, and give each file once")
             complete = bridge_gaps(run)
             session.record_gaps(run.name, gap_summary(complete), describe_gaps(complete))
             runs.append(complete)
     return tuple(runs)
 
 
-def open_table(session: Session, path: Path, geometry: Geometry, reading: TableReading, role: str) -> LoadTable:
-    """Read a point table, record it as an input, and warn about columns that are not used."""
+def _open_tables(
+    session: Session, paths: Iterable[Path], geometry: Geometry, reading: TableReading, role: str
+) -> list[LoadTable]:
+    """Read point tables; those of one load each are one table."""
+    from balance_cli.campaign.recording.single_load_tables import joined_single_loads
+
+    tables: list[LoadTable] = []
+    for path in paths:
+        known = {table.unused for table in tables}
+        tables.append(open_table(session, path, geometry, reading, role, known))
+    joined = joined_single_loads(tables)
+    if joined is None:
+        return tables
+    names = f"{tables[0].path.name} to {tables[-1].path.name}"
+    session.warn(f"{len(tables)} tables of one load each, {names}, are one load series with one zero, in this order")
+    return [joined]
+
+
+def open_table(
+    session: Session,
+    path: Path,
+    geometry: Geometry,
+    reading: TableReading,
+    role: str,
+    known_unused: Container[tuple[str, ...]] = (),
+) -> LoadTable:
+    """Read a point table, record it as an input, and warn about columns that are not used, but for known ones."""
     from balance_cli.campaign.recording.load_table import read_load_table
 
     table = read_load_table(path, geometry, reading)
@@ -142,7 +165,7 @@ def open_table(session: Session, path: Path, geometry: Geometry, reading: TableR
         session.warn(f"{path}: no load points, left out: {table.other_rows}")
     for note in table.notes:
         session.warn(f"{path}: {note}")
-    if table.unused:
+    if table.unused and table.unused not in known_unused:
         session.warn(f"{path}: columns not used: {', '.join(table.unused)}")
     session.record_input(path.name, role, table.digest)
     return table

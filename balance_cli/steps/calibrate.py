@@ -162,7 +162,7 @@ def _regress(task: TrimTask, rows: TrimRows) -> TrimRegression:
     try:
         return regress(rows, task.components)
     except UserError as error:
-        raise task.error(error.fault, error.remedy) from None
+        raise task.collinear_error(error, rows) from None
 
 
 def _stack_rows(task: TrimTask) -> TrimRows:

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 MIN_LOAD_VARIATION = 0.01
 """Variation of a load over its largest value below which it counts as constant: above load noise, below any step."""
+MOST_PLACES = 3
+"""Files that an error names; it is a line, and a trim may have hundreds."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,17 @@ class TrimTask:
 
     def error(self, fault: str, remedy: str) -> UserError:
         """The error to raise for a fault of this trim."""
-        return UserError(fault, ", ".join(run_place(run) for run in self.runs), f"trim {self.label}", remedy)
+        places = list(dict.fromkeys(run_place(run) for run in self.runs))
+        more = [f"{len(places) - MOST_PLACES} more"] if len(places) > MOST_PLACES else []
+        return UserError(fault, ", ".join([*places[:MOST_PLACES], *more]), f"trim {self.label}", remedy)
+
+    def collinear_error(self, error: UserError, rows: TrimRows) -> UserError:
+        """The error to raise for loads that the rows do not determine."""
+        numbers = range(int(rows.run.max()) + 1)
+        if len(numbers) > 1 and not any(np.any(np.ptp(rows.loads[rows.run == k], axis=0)) for k in numbers):
+            fault = f"each of {len(numbers)} runs has one load and a zero of its own, which takes up all of it"
+            return self.error(fault, "Put the loads that were applied in succession into one run or table")
+        return self.error(error.fault, error.remedy)
 
     @property
     def left_out_note(self) -> str:
