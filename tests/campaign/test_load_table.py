@@ -200,3 +200,26 @@ def test_notes_beside_a_table_in_columns_without_a_name_are_left_out_and_counted
     assert table.unused == ("2 without a name in the head",)
     with pytest.raises(UserError, match=r"has 6 columns, the head .line 1. has 4"):
         read(tmp_path, "Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n0,0,0.1,0.2,,5\n1,0,0.3,0.2,,6\n")
+
+
+def test_a_unit_in_the_name_of_a_component_is_its_unit(tmp_path: Path) -> None:
+    """`--units N` made newtons of it."""
+    component = {"name": "pull_lbf", "direction": [0, 0, 1]}
+    channel = {"name": "B1", "unit": "V"}
+    text = "pull_lbf,B1\n0,0.5\n10,1.5\n"
+    table = read(tmp_path, text, TableReading((parse_unit("mV"),)), components=[component], channels=[channel])
+    assert table.hub_loads is not None and table.hub_loads[1, 2] == pytest.approx(44.482216)
+    reading = TableReading((parse_unit("N"), parse_unit("mV")))
+    with pytest.raises(UserError, match="its name ends with the unit lbf, where `--units` says N"):
+        read(tmp_path, text, reading, components=[component], channels=[channel])
+    component["name"] = "mass_kg"
+    with pytest.raises(UserError, match="A mass is no load: write kgf"):
+        read(tmp_path, text.replace("pull_lbf", "mass_kg"), reading, components=[component], channels=[channel])
+
+
+@pytest.mark.parametrize(("unit", "symbol"), [("V", "V"), ("mV/V", "V/V"), ("count", "count")])
+def test_the_remedy_names_the_quantity_that_the_geometry_declares(tmp_path: Path, unit: str, symbol: str) -> None:
+    channel = {"name": "volts_per_volt", "unit": unit}
+    text = "Fx [N],My [N m],volts_per_volt\n0,0,0.5\n"
+    with pytest.raises(UserError, match=rf"Write `volts_per_volt \[{symbol}\]`"):
+        read(tmp_path, text, channels=[channel])

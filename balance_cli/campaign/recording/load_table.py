@@ -21,6 +21,7 @@ from balance_cli.campaign.recording.load_table_columns import (
     by_name,
     identify_loads_and_readings,
     plain_name,
+    unit_of_column,
     unused_columns,
 )
 from balance_cli.campaign.recording.load_table_conditions import attitude_notes, attitude_of_rows, temperature_of_rows
@@ -34,7 +35,7 @@ from balance_cli.campaign.rig.load_components import load_components, moment_tra
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
 from balance_cli.io.text_numbers import LOAD_FILLER_RATIO
-from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, split_unit
 
 Array = NDArray[np.float64]
 
@@ -233,7 +234,7 @@ class _TableReader:
         """Readings (n,) of a channel, in the base unit that the geometry declares."""
         column = self.readings[name]
         expected = next(channel.reading_unit for channel in self.geometry.channels if channel.name == name)
-        unit = self._unit(column, VOLTAGE, RATIO, NUMBER)
+        unit = self._unit(column, *sorted((VOLTAGE, RATIO, NUMBER), key=lambda dimension: dimension != expected))
         allow = self.reading.allow_missing
         values = unit.to_base(self.table.numbers(column.index, allow, allow))
         if unit.dimension == expected:
@@ -287,13 +288,7 @@ class _TableReader:
 
     def _unit(self, column: Column, *dimensions: str) -> Unit:
         head = self.table.header[column.index]
-        if column.unit is None:
-            default = next((unit for unit in self.reading.units if unit.dimension in dimensions), None)
-            if default is not None:
-                return default
-            remedy = f"Write `{column.name} [{dimensions[0]}]` in the head, or give `--units`"
-            raise self.table.error(0, head, "has no unit", remedy)
         try:
-            return parse_unit(column.unit, *dimensions)
+            return unit_of_column(column, head, self.reading.units, *dimensions)
         except UserError as error:
             raise self.table.error(0, head, error.fault, error.remedy) from None

@@ -9,7 +9,18 @@ from dataclasses import dataclass, replace
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable
-from balance_cli.io.units import ANGLE, FORCE, MOMENT, is_unit, parse_unit, split_unit
+from balance_cli.io.units import (
+    ANGLE,
+    FORCE,
+    MASS,
+    MOMENT,
+    NUMBER,
+    Unit,
+    can_be_unit_of,
+    is_unit,
+    parse_unit,
+    split_unit,
+)
 
 LABELS = {
     "series": ("series", "seriesno", "loadseries", "loadingsequence", "sequence", "reihe", "serie"),
@@ -190,3 +201,30 @@ def _match_name(name: str, names: Sequence[str]) -> str | None:
 def plain_name(text: str) -> str:
     """The letters and digits of a name, in lower case."""
     return re.sub(r"[^a-z0-9]", "", text.lower())
+
+
+def unit_of_column(column: Column, head: str, given: Iterable[Unit], *dimensions: str) -> Unit:
+    """The unit of a column: that beside its name, behind the last underscore, or the `given` one of its quantity.
+
+    `dimensions`: those that it may have, the likely one first. Raises UserError where it has none, or another.
+    """
+    if column.unit is not None:
+        return parse_unit(column.unit, *dimensions)
+    named = _unit_in_name(head, dimensions[0])
+    unit = next((each for each in given if each.dimension in dimensions), named)
+    if unit is None:
+        symbol = "count" if dimensions[0] == NUMBER else dimensions[0]
+        raise UserError("has no unit", remedy=f"Write `{column.name} [{symbol}]` in the head, or give `--units`")
+    if named is not None and named.dimension == unit.dimension and named != unit:
+        fault = f"its name ends with the unit {named.symbol}, where `--units` says {unit.symbol}"
+        raise UserError(fault, remedy=f"Write the unit in brackets behind the name: `{column.name} [{unit.symbol}]`")
+    return unit
+
+
+def _unit_in_name(head: str, dimension: str) -> Unit | None:
+    """The unit behind the last underscore, as in `Pull_lbf`; raises UserError for that of a mass in a load's name."""
+    before, sign, last = head.strip().rpartition("_")
+    if not sign or last.isdigit() or before.lower().endswith("_per"):
+        return None
+    known = (dimension, MASS) if dimension == FORCE else (dimension,)
+    return parse_unit(last, dimension) if any(can_be_unit_of(last, each) for each in known) else None
