@@ -56,7 +56,7 @@ def command(
 
     band = (lowest or 0.0, float("inf") if highest is None else highest)
     check_band("--from, --to", *band)
-    rig = session.geometry(geometry)
+    rig = session.geometry(geometry, mechanics=False)
     opened = session.runs(runs, rig, skip_bad)
     opened = require_consistent_runs(session, rig, opened, skip_bad, measured_anyway)
     transfer = estimate_responses(

@@ -94,7 +94,9 @@ def require_mechanics(geometry: Geometry, file: str = "") -> None:
     if missing:
         names = ", ".join(f"`{key}`" for key in missing[:4]) + (" and others" if len(missing) > 4 else "")
         fault = f"{names} {'is' if len(missing) == 1 else 'are'} missing"
-        raise UserError(fault, file, remedy="Add what is missing; only `calibrate` and `apply` do without it")
+        raise UserError(
+            fault, file, remedy="Add what is missing; only `calibrate`, `apply` and `sweep-tf` do without it"
+        )
 
 
 def _duplicate_name_faults(key: str, names: Sequence[str]) -> Iterator[UserError]:
