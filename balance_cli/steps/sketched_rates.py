@@ -14,8 +14,12 @@ from balance_cli.steps.stated_rates import RATE_TOLERANCE, stated_rate, stated_r
 
 FASTEST_GUESS = 2e6
 """[Hz]. Times without a unit that would be of a higher rate are hardly seconds: dates of spreadsheets count days."""
-UNIT_IN_NAME = re.compile(r"[a-z]_(s|ms|us|ns)$", re.IGNORECASE)
-"""As counters are named: `ts_ms`, `time_us`."""
+UNIT_IN_NAME = re.compile(r"(?:[a-z]_|^)(s|ms|us|ns|milli(?=s$)|micro(?=s$))s?$", re.IGNORECASE)
+"""As counters are named: `ts_ms`, `time_us`, and `millis` or `micros` by microcontrollers."""
+UNIT_WORDS = {"milli": "ms", "micro": "us"}
+EPOCH = (1e9, 1e10)
+"""[s] from 1970, of the years 2001 to 2286: a first time is in this range in one unit only."""
+EPOCH_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 """Words that YAML does not take for text."""
 
@@ -60,6 +64,8 @@ def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
         yield f"time_unit: {named}  # as its name says"
     elif factor is None and agrees:
         yield "time_unit: s  # the head states the same rate"
+    elif factor is None and axis is not None and (unit := _unit_since_1970(axis.start)):
+        yield f"time_unit: {unit}  # counted from 1970, which no other unit makes likely"
     elif factor is None and (rate is None or 1.0 < rate < FASTEST_GUESS):
         yield "time_unit: s  # assumed: the file states no unit of its times"
     elif factor is None:
@@ -73,7 +79,13 @@ def _unit_lines(file: ForeignFile, time: ForeignChannel) -> Iterator[str]:
 def _unit_in_name(time: ForeignChannel) -> str:
     """The unit of time at the end of a name such as `ts_ms`, empty where there is none."""
     match = UNIT_IN_NAME.search(time.name)
-    return match[1].lower() if match else ""
+    word = match[1].lower() if match else ""
+    return UNIT_WORDS.get(word, word)
+
+
+def _unit_since_1970(start: float) -> str:
+    """The unit in which a first time is one of our days; empty where it is none."""
+    return next((unit for unit, factor in EPOCH_UNITS.items() if EPOCH[0] <= start * factor < EPOCH[1]), "")
 
 
 def _factor(unit: str) -> float | None:

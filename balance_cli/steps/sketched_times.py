@@ -13,6 +13,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.units import TIME, Unit, can_be_unit_of, is_unit, parse_unit
 
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
+TIME_NAMES |= {"millis", "micros"}
 UNNAMED = ("column 1", "X", "x")
 """First column of a text without names, or with that of an abscissa."""
 TIMES_READ = 4096

@@ -116,6 +116,10 @@ def imported(path, **clock):
     [
         ("Time", "d", lambda t: f"{45363.4 + t / 86400:.10f}", "time: Time\ntime_unit: TODO"),
         ("ts_ms", "ms", lambda t: f"{1710238272000 + 1000 * t:.0f}", "time: ts_ms\ntime_unit: ms"),
+        ("millis", "ms", lambda t: f"{123456 + 1000 * t:.0f}", "time: millis\ntime_unit: ms"),
+        ("micros", "us", lambda t: f"{123456 + 1e6 * t:.0f}", "time: micros\ntime_unit: us"),
+        ("%time", "ns", lambda t: f"{1609060336768428032 + int(1e9 * t)}", "time: time\ntime_unit: ns"),
+        ("timestamp", "ms", lambda t: f"{1710238272000 + 1000 * t:.1f}", "time: timestamp\ntime_unit: ms"),
         ("time_ns", "ns", lambda t: f"{1e9 * t:.0f}", "time: time_ns\ntime_unit: ns"),
     ],
 )
@@ -123,7 +127,7 @@ def test_dates_of_spreadsheets_and_counters_are_times(tmp_path, name, unit, cell
     """A counter of milliseconds was a channel, and days were no unit."""
     rows = "".join(f"{cell(k / 1000)},{np.sin(k):.6f}\n" for k in range(600))
     (tmp_path / "record.csv").write_text(f"{name},F1 [V]\n{rows}")
-    assert imported(tmp_path / "record.csv", time=name, time_unit=unit).run.sample_rate == 1000.0
+    assert imported(tmp_path / "record.csv", time=name.lstrip("%"), time_unit=unit).run.sample_rate == 1000.0
     assert said in sketch_map([open_foreign(tmp_path / "record.csv")], None)
 
 
