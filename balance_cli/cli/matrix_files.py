@@ -57,14 +57,17 @@ def matrix_file_text(result: Calibration, path: Path) -> str:
 
 
 def linear_matrix_text(result: Calibration, path: Path) -> str:
-    """Format T0, loads from readings, as plain CSV or in the XML of ATI."""
+    """Format T0, loads from readings, as plain CSV or in the XML of ATI: of several trims, that of their model.
+
+    A model with curvature has another slope at zero load than the straight line through its range.
+    """
     from balance_cli.calibration.linear_matrix import LinearMatrix, ati_xml, linear_csv
     from balance_cli.campaign.rig.components import COMPONENTS
     from balance_cli.campaign.rig.load_components import component_units
 
     trim = next(iter(result.trims.values()))
     T0, names = trim.T0, trim.channel_names
-    if result.all_trims is not None:
+    if result.all_trims is not None and len(result.trims) > 1:
         model = result.all_trims.model
         T0, names = model.inverse() * model.calibrated_range[:, None], model.channel_names
     declared = {channel.name: channel.reading_unit for channel in result.geometry.channels}

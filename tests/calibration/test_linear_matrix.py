@@ -171,3 +171,19 @@ def test_a_linear_matrix_needs_no_geometry(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("component,B1\nFx [N],1\n")
     words = call("calibrate", "--from-matrix", tmp_path / "bad.csv", "-o", tmp_path / "x.h5", status=2)
     assert "has no channels with their units" in words and not (tmp_path / "x.h5").exists()
+
+
+def test_the_linear_matrix_of_a_curved_channel_is_the_best_straight_line(tmp_path: Path) -> None:
+    """The slope of the model at zero load was off by as much as the curvature has added at full load."""
+    load = np.concatenate([np.linspace(0, 400, 11), np.linspace(400, 0, 11)[1:]])
+    reading = 1e-3 + 8e-3 * load * (1 - 8e-5 * load) + 2e-6 * np.random.default_rng(2).standard_normal(load.size)
+    rows = "".join(f"{x},{y:.9f}\n" for x, y in zip(load, reading, strict=True))
+    (tmp_path / "p.csv").write_text(f"Fx [N],B [mV/V]\n{rows}")
+    (tmp_path / "g.yaml").write_text(
+        "format: balance-geometry/1\nname: g\nrig: r\nchannels: [{name: B, unit: mV/V}]\ncomponents: [Fx]\n"
+    )
+    words = ("-g", tmp_path / "g.yaml", tmp_path / "p.csv", "--linear-matrix", tmp_path / "m.csv")
+    assert "Fx^2" in call("calibrate", *words, "-o", tmp_path / "c.h5")
+    found = read_linear_csv(read_table(tmp_path / "m.csv"), ("Fx",), ("B",)).T0[0, 0]
+    straight = 1e3 / np.polyfit(load, reading, 1)[0]
+    assert found == pytest.approx(straight, rel=1e-3)
