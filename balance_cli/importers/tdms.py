@@ -27,7 +27,7 @@ from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
 
 NAME = "TDMS"
-SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+SCALE_TYPE = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
 SCALE_TYPES = frozenset(
     (
         *("Polynomial", "Linear", "RTD", "Strain", "Table", "Thermistor", "Thermocouple"),
@@ -35,6 +35,20 @@ SCALE_TYPES = frozenset(
     )
 )
 """Types of scales that npTDMS 1.13 applies; where another is among the scales of a channel, it gives raw values."""
+THERMOCOUPLE_LIMITS = {
+    10047: (-50.0, 1820.0),
+    10055: (-270.0, 1000.0),
+    10072: (-210.0, 1200.0),
+    10073: (-270.0, 1372.0),
+    10077: (-270.0, 1300.0),
+    10082: (-50.0, 1768.0),
+    10085: (-50.0, 1768.0),
+    10086: (-270.0, 400.0),
+}
+"""Temperatures [degC] between which the polynomials of ITS-90 hold, by the codes of National Instruments for the types
+B, E, J, K, N, R, S and T: npTDMS extrapolates them, to -2e10 degC for an open input."""
+LIMIT_MARGIN = 20.0
+"""Temperature [K] beyond these limits that a polynomial of this degree still follows."""
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -91,7 +105,19 @@ def _facts(channel: Any, unknown_scale: str) -> dict[str, Any]:
         # Scales of NI are applied in reading, which makes floating numbers of integers.
         "scale": stated_scale(_numbers(properties)) if kind in ("i", "u") else "",
         "unknown_scale": unknown_scale,
+        "limits": _thermocouple_limits(properties),
     }
+
+
+def _thermocouple_limits(properties: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Limits [degC] of a channel whose last scale is that of a thermocouple; None of others."""
+    scales = {int(found[1]): value for name, value in properties.items() if (found := SCALE_TYPE.fullmatch(name))}
+    last = max(scales, default=0)
+    prefix = f"NI_Scale[{last}]_Thermocouple"
+    if scales.get(last) != "Thermocouple" or properties.get(f"{prefix}_Scaling_Direction", 0) == 1:
+        return None
+    low, high = THERMOCOUPLE_LIMITS.get(int(properties.get(f"{prefix}_Thermocouple_Type", 10072)), (-np.inf, np.inf))
+    return low - LIMIT_MARGIN, high + LIMIT_MARGIN
 
 
 def _numbers(properties: Mapping[str, Any]) -> dict[str, float]:
@@ -130,7 +156,11 @@ class _OpenFile:
 
 def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:
     def read(columns: Sequence[int], start: int, stop: int) -> Array:
-        return np.repeat(opened.read(group, name, start, stop)[:, None], len(columns), axis=1)
+        values = opened.read(group, name, start, stop)
+        if facts["limits"] is not None:
+            low, high = facts["limits"]
+            values = np.where((values >= low) & (values <= high), values, np.nan)
+        return np.repeat(values[:, None], len(columns), axis=1)
 
     start = facts["offset"]
     if facts["begin"] is not None:

@@ -11,7 +11,8 @@ from pathlib import Path
 from balance_cli.importers.base import SNIFFED_BYTES, Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout
 from balance_cli.importers.text_blocks import split_cells
 from balance_cli.importers.text_layout import Columns, find_columns
-from balance_cli.importers.text_rows import Rows, index_rows
+from balance_cli.importers.text_remarks import find_remarks
+from balance_cli.importers.text_rows import Rows, as_utf8, index_rows
 from balance_cli.importers.text_table import TextTable
 from balance_cli.importers.time_columns import filled_rows, parts_by_time
 from balance_cli.io.errors import UserError
@@ -37,8 +38,12 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     is_whole = path.stat().st_size <= len(head)
     encoding = layout.encoding or find_encoding(head, is_cut=not is_whole)
     text = _decode(head, encoding)
+    remarks = find_remarks(path, as_utf8(path, encoding) if encoding.startswith("utf-16") else None, encoding)
+    if remarks.rows:
+        text = _decode(remarks.cleaned[:SNIFFED_BYTES], "utf-8" if encoding.startswith("utf-16") else encoding)
     columns = find_columns(text, is_whole, encoding, layout)
-    rows, notes = index_rows(path, columns)
+    remarks.require_going_on(columns)
+    rows, notes = index_rows(path, columns, remarks)
     # Several are those of different channels.
     several = len(columns.stated_rates) > 1
     scalars = {f"{k}.{RATE}" if several else RATE: rate for k, rate in enumerate(columns.stated_rates)}

@@ -209,7 +209,7 @@ def _lay_out(
         for k in reversed(ends):
             if _begins_wider_rows(rows, k, width, decimal):
                 width = len(rows[k])
-            if len(rows[k]) != width or not _is_data(rows[k], decimal):
+            if len(rows[k]) != width or not (_is_data(rows[k], decimal) or _is_gap(rows, k, decimal)):
                 break
             first = k
     count = sum(1 for k in filled if k >= first)
@@ -242,6 +242,15 @@ def _is_data(row: Sequence[str], decimal: str) -> bool:
     numbers = sum(is_number(cell, decimal) for cell in values)
     clocks = sum(bool(CLOCK.match(cell)) for cell in values)
     return numbers > 0 and numbers + clocks >= NUMERIC_SHARE * len(values)
+
+
+def _is_gap(rows: Sequence[Sequence[str]], place: int, decimal: str) -> bool:
+    """Whether a row has words for missing values alone, below a row of data or another one like it."""
+    cells = rows[place]
+    if not any(cells) or not all(is_missing(cell) for cell in cells):
+        return False
+    above = next((k for k in range(place - 1, -1, -1) if any(cell and not is_missing(cell) for cell in rows[k])), None)
+    return above is not None and len(rows[above]) == len(cells) and _is_data(rows[above], decimal)
 
 
 def _column_kinds(

@@ -17,8 +17,8 @@ UNIT_SHARE = 0.5
 """Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""
 KEY = re.compile(r"^[A-Za-z][\w -]*:$")
 """The first cell of a row of a head that says what the others are, as imc writes it: `Name:`, `Unit:`, `dx:`."""
-NAME_KEYS = ("name", "names", "channel name", "channel names", "channel", "kanalname", "kanal", "signal")
-UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "y-unit", "y_unit_label")
+NAME_KEYS = ("name", "names", "channel name", "channel names", "channel", "kanalname", "kanal", "signal", "tracename")
+UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "y-unit", "y_unit_label", "vunit")
 REMARK_SIGNS = (*REMARKS, ";", "!")
 """Signs before the names of a head of remarks."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from balance_cli.importers.text_blocks import split_cells
 from balance_cli.importers.text_end import Cut, cut_number
 from balance_cli.importers.text_layout import Columns
+from balance_cli.importers.text_remarks import Remarks
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import is_remark
 
@@ -34,13 +35,14 @@ class Rows:
     offsets: NDArray[np.int64]
     end: int
     count: int
+    remarks: Remarks = field(default_factory=Remarks)
 
 
-def index_rows(path: Path, columns: Columns) -> tuple[Rows, list[str]]:
-    """Find the rows; remarks behind the last one and a last row that broke off are left out, with a note."""
-    open_stream: Callable[[], IO[bytes]] = lambda: path.open("rb")  # noqa: E731
-    if columns.encoding.startswith("utf-16"):
-        open_stream = functools.partial(io.BytesIO, _as_utf8(path, columns.encoding))
+def index_rows(path: Path, columns: Columns, remarks: Remarks) -> tuple[Rows, list[str]]:
+    """Find the rows; remarks between and behind them and a last row that broke off are left out, with a note."""
+    open_stream: Callable[[], IO[bytes]] = remarks.open(path)
+    if columns.encoding.startswith("utf-16") and not remarks.rows:
+        open_stream = functools.partial(io.BytesIO, as_utf8(path, columns.encoding))
     with open_stream() as file:
         for _ in range(columns.first_row):
             file.readline()
@@ -56,11 +58,12 @@ def index_rows(path: Path, columns: Columns) -> tuple[Rows, list[str]]:
             left_out.append(end_fault)
             end = _start_of_line(file, first, end)
         offsets, count = _index_lines(file, first, end)
-    last_row = columns.first_row + count + len(left_out)
-    notes = [f"row {last_row - k} {why} and was left out" for k, why in enumerate(left_out)]
+    last_row = remarks.row_of_file(columns.first_row + count + len(left_out) - 1) + 1
+    notes = [*filter(None, [remarks.note()])]
+    notes += [f"row {last_row - k} {why} and was left out" for k, why in enumerate(left_out)]
     if end_fault == Cut.MAYBE.value:
-        notes.append(f"row {columns.first_row + count} {end_fault}")
-    return Rows(open_stream, offsets, end, count), notes
+        notes.append(f"row {remarks.row_of_file(columns.first_row + count - 1) + 1} {end_fault}")
+    return Rows(open_stream, offsets, end, count, remarks), notes
 
 
 def _broken_end(file: IO[bytes], first: int, end: int, columns: Columns) -> str:
@@ -78,8 +81,8 @@ def _broken_end(file: IO[bytes], first: int, end: int, columns: Columns) -> str:
     return cut_number(rows[-1][-1], [row[-1] for row in rows[:-1] if len(row) == width]).value
 
 
-def _as_utf8(path: Path, encoding: str) -> bytes:
-    """The text of a file in UTF-16; such are exports of Excel, which has at most a million rows."""
+def as_utf8(path: Path, encoding: str) -> bytes:
+    """Return the text of a file in UTF-16; such are exports of Excel, which has at most a million rows."""
     return path.read_bytes().decode(encoding, "replace").encode("utf-8")
 
 

@@ -136,7 +136,7 @@ class TextTable:
         return damage_error("rows of different lengths")
 
     def _file_row(self, row: int) -> int:
-        return self.columns.first_row + row + 1
+        return self.rows.remarks.row_of_file(self.columns.first_row + row) + 1
 
     def _bad_row(self, text: bytes, numeric: Sequence[int], row: int, error: object) -> UserError:
         """The error that names the first row with too many cells, or a cell that is no number."""

@@ -27,13 +27,14 @@ def time_columns(
     A column of times has a name or a unit that says so, and values that increase evenly as far as there are any.
     `heads` are name and unit of each column.
     """
-    time_like = [k for k in numeric if _is_time_column(*heads[k]) and _increases_evenly(_values(rows, k, decimal))]
+    time_like = [k for k in numeric if is_time_column(*heads[k]) and _increases_evenly(_values(rows, k, decimal))]
     last = max(numeric, default=0)
     time_like = [k for k in time_like if k < last and k + 1 not in time_like]
     return tuple(time_like) if len(time_like) > 1 else ()
 
 
-def _is_time_column(name: str, unit: str) -> bool:
+def is_time_column(name: str, unit: str) -> bool:
+    """Return whether a column is one of times by its unit or, without one, its name."""
     if unit:
         return can_be_unit_of(unit, TIME)
     return bool(TIME_NAME.match(name))

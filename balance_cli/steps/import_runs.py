@@ -12,6 +12,7 @@ from balance_cli.campaign.recording.additions import FORCE, TEMPERATURE, RunAddi
 from balance_cli.campaign.recording.dataset_checks import KINDS_WITH_LOADS
 from balance_cli.campaign.recording.import_map import ImportMap
 from balance_cli.campaign.recording.import_map_file import DeclaredRun
+from balance_cli.campaign.recording.recorded_time import unreadable_time
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -189,6 +190,7 @@ def _complete(
     stated_speed: float | None,
 ) -> ImportedRun:
     """The run with its pulses, its speed and, of a sweep, the rms of its excitation."""
+    notes += filter(None, [unreadable_time(run.recorded)])
     reference = None
     if mapping.rotor is not None and timeline is not None:
         try:

@@ -261,3 +261,21 @@ def test_formats_that_are_not_read_are_named(tmp_path: Path, head: bytes, kind: 
     (tmp_path / "record").write_bytes(head + b"\0\1\0\2\0a\0b" * 40)
     with pytest.raises(UserError, match=f"is {kind}"):
         open_foreign(tmp_path / "record")
+
+
+def test_the_unit_of_yokogawa_is_that_of_the_values(tmp_path: Path) -> None:
+    """`HUnit`, of the time between samples, was the unit of all channels, and their scale was left open."""
+    head = '"Model","DL850E"\n"TraceName","CH1","CH2"\n"VUnit","V","mV"\n"HResolution",1.0E-03,1.0E-03\n"HUnit","s","s"'
+    path = write_rows(tmp_path / "y.csv", head, [""] * 200, *X.T)
+    text, mapping = sketch(path)
+    assert {name: channel["unit"] for name, channel in mapping["channels"].items()} == {"CH1": "V", "CH2": "mV"}
+    assert "scale" not in text.split("channels:")[1].split("#")[0]
+
+
+@pytest.mark.parametrize("word", ["NaN", "NA", "-"])
+def test_a_row_without_values_does_not_end_the_head(tmp_path: Path, word: str) -> None:
+    """The rows above it were lost, and the record was half as long, without a word."""
+    cells = [f"{value:.6f}" for value in X[:, 0]]
+    cells[90] = word
+    file = open_foreign(write_rows(tmp_path / "one.csv", "F1 [V]", cells))
+    np.testing.assert_allclose(values(file, "F1"), np.where(np.arange(200) == 90, np.nan, X[:, 0]), atol=1e-6)

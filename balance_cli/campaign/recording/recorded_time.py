@@ -15,3 +15,10 @@ def recorded_time(text: str | None) -> float | None:
     except ValueError:
         return None
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def unreadable_time(text: str | None) -> str:
+    """Return that a stated time is none in ISO 8601, such as one of month 13; empty where it is one, or is absent."""
+    if not text or recorded_time(text) is not None:
+        return ""
+    return f"`recorded` is `{text[:40]}`, which is no time in ISO 8601 such as 2024-03-31T10:11:12: it orders no runs"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from balance_cli.campaign.recording.recorded_time import recorded_time
+from balance_cli.campaign.recording.recorded_time import recorded_time, unreadable_time
 from balance_cli.campaign.recording.run import Run
 from balance_cli.reduction.wind_off import ZeroRecord
 
@@ -55,8 +55,13 @@ class ZeroRuns:
         return recorded_time(recorded) is not None and any(zero.time is not None for zero in self.zeros)
 
     def warning(self, run: str, recorded: str | None) -> str:
-        """Return that the times of files give a run another zero than its attribute `recorded`; empty where not."""
+        """Return that the times of files give a run another zero than its attribute `recorded`, or that it is no time.
+
+        Empty where neither is so.
+        """
         chosen, newest = self.of_time(recorded), self.newest
+        if newest is not None and (unreadable := unreadable_time(recorded)):
+            return f"{run}: {unreadable}, and its zero is {newest.run.name}, the newest file"
         if newest is None or chosen is newest:
             return ""
         if chosen is None:
