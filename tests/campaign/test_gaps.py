@@ -258,13 +258,26 @@ def test_spikes_of_one_sample_are_interpolated():
     run, rng = rotor_run(5), np.random.default_rng(8)
     volts = np.array(run.read().channels)
     index = np.sort(rng.choice(np.arange(20, run.samples - 20, 8), 30, replace=False))
-    volts[index, 1] += 0.3 * volts[:, 1].std()
+    volts[index, 1] += 0.6 * volts[:, 1].std()
     found = bridge_gaps(replace(run, source=MemorySource(volts, None)))
     assert gap_summary(found) == {"b": {"samples": 30, "gaps": 30, "longest": 1, "spikes": 30}}
     np.testing.assert_array_equal(found.bridged[0].index, index)
-    assert "30 of them are spikes of one sample" in describe_gaps(found)
+    assert "30 of them are spikes" in describe_gaps(found)
     error = found.read().channels[:, 1] - run.read().channels[:, 1]
-    assert abs(error.mean()) < 0.05 * 30 * 0.3 * volts[:, 1].std() / run.samples
+    assert abs(error.mean()) < 0.05 * 30 * 0.6 * volts[:, 1].std() / run.samples
+
+
+def test_offsets_of_a_few_samples_are_interpolated():
+    run, rng = rotor_run(5), np.random.default_rng(10)
+    volts = np.array(run.read().channels)
+    starts, lengths = np.arange(200, 200 + 20 * 400, 400), rng.integers(1, 9, 20)
+    index = np.concatenate([np.arange(a, a + n) for a, n in zip(starts, lengths, strict=True)])
+    volts[index, 2] -= 1.5 * volts[:, 2].std()
+    found = bridge_gaps(replace(run, source=MemorySource(volts, None)))
+    assert set(found.bridged[0].index) == set(index) and found.bridged[0].name == "c"
+    steps = np.array(run.read().channels)
+    steps[3000:, 2] += 1.5 * volts[:, 2].std()
+    assert not bridge_gaps(replace(run, source=MemorySource(steps, None))).bridged
 
 
 @pytest.mark.parametrize("width", [1.0, 1.5, 3.0])

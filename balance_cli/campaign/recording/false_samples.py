@@ -1,11 +1,12 @@
-"""Samples that no channel measured: those of a buffer that was written twice, and spikes of one sample.
+"""Samples that no channel measured: those of a buffer that was written twice, and spikes.
 
 Noise makes no two samples equal in all channels, let alone a row of them at one distance. Where most of a record
 repeats itself it was computed without noise, or is at rest.
 
-A spike is a single sample of a channel to which its neighbors do not lead (a bit that flips on a link, a contact). All
-of one sign change the mean by their sum, and look like white noise whose sigma knows only their scatter. Behind the
-anti-alias filter a load lasts for several samples: of a spike the fourth differences have the pattern of one sample.
+A spike is a sample of a channel, or a few that are displaced alike, to which their neighbors do not lead (a bit that
+flips on a link, a contact). All of one sign change the mean by their sum, and look like white noise whose sigma knows
+only their scatter. Behind the anti-alias filter no load rises or falls from one sample to the next: of a spike the
+fourth differences have the pattern of two steps.
 """
 
 from __future__ import annotations
@@ -30,7 +31,12 @@ SPIKE_TO_SCATTER = 8.0
 LEFT_OF_SPIKE = 0.1
 """Share of a spike that the differences around it may have without it, beyond LEFT_OF_NOISE of the usual ones: a pulse
 behind a filter at 0.45 of the sample rate leaves 0.2."""
-LEFT_OF_NOISE = 4.0
+LEFT_OF_NOISE, MOST_LEFT = 4.0, 0.3
+"""Second, share of a spike that may be left beside noise, too: a single step leaves a third."""
+LONGEST_SPIKE = 12
+"""Samples of the longest spike: more apart, two steps may be those of two causes."""
+MOST_DIFFERENCES = 0.1
+"""Share of the samples with differences of such a size from which they are those of the signal."""
 MEDIAN_OF_NORMAL = 0.6745
 """Median size of a normal deviate over its standard deviation."""
 FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
@@ -74,7 +80,7 @@ def _keys(rows: Array) -> NDArray[np.uint64]:
 
 
 def spikes(run: Run) -> dict[int, Integers]:
-    """Return the indices of the samples of each column of the channels that are spikes of one sample."""
+    """Return the indices of the samples of each column of the channels that are spikes."""
     parts: dict[int, list[Integers]] = {}
     margin = len(FOURTH_DIFFERENCE)
     for start in range(0, run.samples, BLOCK_SAMPLES):
@@ -90,18 +96,44 @@ def spikes(run: Run) -> dict[int, Integers]:
 
 def _spikes(x: Array) -> Integers:
     """Return the samples (k,) of a part (n,) of a channel that are spikes; those next to the ends are not examined."""
-    reach = len(FOURTH_DIFFERENCE) - 1
+    none, reach = np.empty(0, np.int64), len(FOURTH_DIFFERENCE) - 1
     if len(x) < 4 * reach:
-        return np.empty(0, np.int64)
+        return none
     d = np.convolve(x, FOURTH_DIFFERENCE, "valid")
     size = np.abs(d)
     usual = float(np.median(size)) / MEDIAN_OF_NORMAL
     if not usual > 0.0:  # a coarse converter at rest, or samples that are not finite
-        return np.empty(0, np.int64)
-    at = reach + np.flatnonzero(size[reach:-reach] > SPIKE_TO_SCATTER * usual)
-    around = d[at[:, None] + np.arange(-reach, reach + 1)]
-    pattern = np.pad(FOURTH_DIFFERENCE, reach // 2)
-    left = np.abs(around - around[:, reach, None] * pattern).max(axis=1, initial=0.0)
-    is_spike = left < LEFT_OF_SPIKE * size[at] + LEFT_OF_NOISE * usual
-    is_spike &= size[at] > 2.0 * left
-    return np.asarray(at[is_spike] + reach // 2, np.int64)
+        return none
+    at = np.flatnonzero(size > SPIKE_TO_SCATTER * usual)
+    if len(at) > MOST_DIFFERENCES * len(x):
+        return none
+    parts = [none]
+    for apart in (reach, LONGEST_SPIKE):  # spikes beside each other first, then the two ends of longer ones
+        left = []
+        for group in np.split(at, np.flatnonzero(np.diff(at) > apart) + 1) if len(at) else []:
+            spike = _spike_of_group(d, int(group[0]), int(group[-1]), usual)
+            parts.append(spike)
+            left += [] if len(spike) else [group]
+        at = np.concatenate([none, *left])
+    return np.unique(np.concatenate(parts))
+
+
+def _spike_of_group(d: Array, first: int, last: int, usual: float) -> Integers:
+    """Return the samples of the spike whose fourth differences `d` exceed the usual ones from `first` to `last`.
+
+    A spike of m samples has those of two steps that are m apart, which differ from zero at m + 4 places.
+    """
+    reach, none = len(FOURTH_DIFFERENCE) - 1, np.empty(0, np.int64)
+    best, found = np.inf, none
+    for length in range(max(1, last - first - reach + 1), min(last - first + 1, LONGEST_SPIKE) + 1):
+        pattern = np.pad(np.convolve(np.ones(length), FOURTH_DIFFERENCE), reach)
+        for start in range(last - length - reach + 1, first + 1):  # of the differences that the spike reaches
+            low = start - reach
+            if low < 0 or low + len(pattern) > len(d):
+                continue
+            around = d[low : low + len(pattern)]
+            fitted = float(around @ pattern) / float(pattern @ pattern) * pattern
+            left, largest = float(np.abs(around - fitted).max()), float(np.abs(fitted).max())
+            if left < min(best, LEFT_OF_SPIKE * largest + LEFT_OF_NOISE * usual, MOST_LEFT * largest):
+                best, found = left, np.arange(start + reach, start + reach + length)
+    return found

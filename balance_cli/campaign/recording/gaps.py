@@ -129,7 +129,7 @@ def describe_gaps(run: Run) -> str:
 
 def _held_part(about: Mapping[str, int]) -> str:
     held = f"; {about['held']} of them repeat a value or are exactly zero" if "held" in about else ""
-    return held + (f"; {about['spikes']} of them are spikes of one sample" if "spikes" in about else "")
+    return held + (f"; {about['spikes']} of them are spikes" if "spikes" in about else "")
 
 
 def report_gaps(runs: Iterable[Run], report: Callable[[str, str], None]) -> dict[str, dict[str, dict[str, int]]]:
