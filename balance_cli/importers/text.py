@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from balance_cli.importers.base import SNIFFED_BYTES, Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout
+from balance_cli.importers.labview_segments import MAGIC, joined_segments
 from balance_cli.importers.text_blocks import split_cells
 from balance_cli.importers.text_layout import Columns, find_columns
 from balance_cli.importers.text_remarks import find_remarks
@@ -35,15 +36,21 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """Find the layout and the positions of the rows."""
     with path.open("rb") as file:
         head = file.read(SNIFFED_BYTES)
-    is_whole = path.stat().st_size <= len(head)
+    size, content, joined_note = path.stat().st_size, None, []
+    if head.startswith(MAGIC) and layout.first_row is None and (joined := joined_segments(path.read_bytes())):
+        content, count = joined
+        head, size = content[:SNIFFED_BYTES], len(content)
+        joined_note = [f"{count} segments continue each other, and are one record"]
+    is_whole = size <= len(head)
     encoding = layout.encoding or find_encoding(head, is_cut=not is_whole)
     text = _decode(head, encoding)
-    remarks = find_remarks(path, as_utf8(path, encoding) if encoding.startswith("utf-16") else None, encoding)
+    held = as_utf8(path, encoding) if encoding.startswith("utf-16") else content
+    remarks = find_remarks(path, held, encoding)
     if remarks.rows:
         text = _decode(remarks.cleaned[:SNIFFED_BYTES], "utf-8" if encoding.startswith("utf-16") else encoding)
     columns = find_columns(text, is_whole, encoding, layout)
     remarks.require_going_on(columns)
-    rows, notes = index_rows(path, columns, remarks)
+    rows, notes = index_rows(path, columns, remarks, held)
     # Several are those of different channels.
     several = len(columns.stated_rates) > 1
     scalars = {f"{k}.{RATE}" if several else RATE: rate for k, rate in enumerate(columns.stated_rates)}
@@ -58,7 +65,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         for k, name in enumerate(columns.names)
         if name and k not in (*columns.numeric, *columns.clock)
     }
-    return ForeignFile(path, NAME, tuple(groups), tuple(notes), scalars=scalars, labels=texts)
+    return ForeignFile(path, NAME, tuple(groups), (*joined_note, *notes), scalars=scalars, labels=texts)
 
 
 def _read_labels(rows: Rows, columns: Columns, column: int) -> tuple[str, ...]:

@@ -38,11 +38,14 @@ class Rows:
     remarks: Remarks = field(default_factory=Remarks)
 
 
-def index_rows(path: Path, columns: Columns, remarks: Remarks) -> tuple[Rows, list[str]]:
-    """Find the rows; remarks between and behind them and a last row that broke off are left out, with a note."""
+def index_rows(path: Path, columns: Columns, remarks: Remarks, held: bytes | None) -> tuple[Rows, list[str]]:
+    """Find the rows; remarks between and behind them and a last row that broke off are left out, with a note.
+
+    `held`: what a file that is held as a whole has, in place of its bytes.
+    """
     open_stream: Callable[[], IO[bytes]] = remarks.open(path)
-    if columns.encoding.startswith("utf-16") and not remarks.rows:
-        open_stream = functools.partial(io.BytesIO, as_utf8(path, columns.encoding))
+    if held is not None and not remarks.rows:
+        open_stream = functools.partial(io.BytesIO, held)
     with open_stream() as file:
         for _ in range(columns.first_row):
             file.readline()
