@@ -15,9 +15,16 @@ from balance_cli.reduction.harmonic_loads import window_harmonic_loads, window_m
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.rotor_record import RotorRecord
 from balance_cli.reduction.slow_changes import material_change, slow_changes
-from balance_cli.signals.rotor.channel_change import ChannelChange, channel_change, harmonic_drift
+from balance_cli.signals.rotor.channel_change import (
+    BEYOND_CHANCE,
+    ChannelChange,
+    channel_change,
+    harmonic_drift,
+    step_remainder,
+)
 from balance_cli.signals.rotor.common_change import CommonChange, changes_of_columns, common_change
 from balance_cli.signals.rotor.steadiness import (
+    FEWEST_WINDOWS,
     WindowedAmplitudes,
     largest_change,
     sigma_if_steady,
@@ -43,6 +50,9 @@ TONE_QUESTION = "is the tone at the given frequency, or were samples lost?"
 """What a turn of all loads at a given frequency asks: no azimuth tells where the tone is."""
 AVERAGED_PERIODS = 2.0
 """Periods of a mode in a window that leave less than a sixth of its amplitude in the mean, 1 over 2 pi."""
+BEYOND_STATED = 2.0
+"""Standard deviations of a mean load from which its distance from the median of windows counts: slow gusts make the
+distance 0.75 of one."""
 STEADY_SPEED = 2e-3
 """Relative range of the speed of windows up to which they have one response: pulses scatter by less."""
 START_UP_SHARE = 0.03
@@ -100,12 +110,12 @@ def examine_steadiness(
     start = max(len(loads) - int((last - first) / duration), 0)
     within = loads[start:]
     loads[:, 0] = _beyond_transient(loads[:, 0], start, of_harmonics)
+    stated = sigma[0]
     if static is not None:
         # A step makes the noise of a mean red, and its sigma large.
         sigma = np.vstack([np.minimum(sigma[0], sigma_if_steady(loads[:, 0])), sigma[1:]])
     is_unsteady = unsteady(loads, _least_change(sigma, loads), correlation)
-    # What steps in one load, as of a channel whose zero steps, does so in others, less clearly.
-    mean_change = largest_change(loads[:, 0]) * unsteady(loads[:, 0], sigma[0], correlation[0]).any()
+    mean_change = _mean_change(loads[:, 0], sigma[0], stated, correlation[0])
     is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
     note = _change_of_all(within, windows, start, lambda window: first + window * duration, record, geometry)
     whole = _reported(within[:, 1:], windows, reported)
@@ -113,6 +123,20 @@ def examine_steadiness(
     slow = slow_changes(record, geometry, source, within[:, 1:], sigma[1:], constant_response)
     is_unsteady[1:] |= slow.material
     return Steadiness(is_unsteady | bool(note), note, mean_change, np.maximum(error, slow.error), slow.note)
+
+
+def _mean_change(means: ComplexArray, sigma: Array, stated: Array, correlation: Array) -> Array:
+    """Return by how much the mean loads of windows (w, m) change, by more than chance; zero where none does.
+
+    `sigma` (m,) is that of steady means, `stated` that of the loads. Of what a few windows depart by, as of a channel
+    that is displaced now and then, the mean contains a part that the median does not: it counts as half of a change.
+    """
+    # What steps in one load, as of a channel whose zero steps, does so in others, less clearly.
+    change = largest_change(means) * unsteady(means, sigma, correlation).any()
+    if len(means) < FEWEST_WINDOWS:
+        return np.asarray(change)
+    remainder = step_remainder(means, means.mean(axis=0), BEYOND_CHANCE)
+    return np.asarray(np.maximum(change, 2.0 * remainder * (remainder > BEYOND_STATED * stated)))
 
 
 def _reported(values: ComplexArray, windows: WindowedAmplitudes, reported: ComplexArray) -> ComplexArray:

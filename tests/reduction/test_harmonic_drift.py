@@ -103,3 +103,17 @@ def test_what_a_step_of_the_mean_leaves_in_harmonics_is_in_sigma(reduced, campai
     step = np.array([column.get(name, 0.0) for name in wind.channel_names])
     stepped = reduced(lambda volts, share: volts + (share > place) * step)
     assert deviations(stepped, sound)[:, 2].max() < 4.0
+
+
+def test_a_load_that_is_displaced_now_and_then_is_in_sigma_of_its_mean(reduced, campaign, calibration):
+    """Twelve times for a two hundredth of the record: the lines tell only how it scatters, and all are of one sign."""
+    trim, wind = calibration.trims["bare"], campaign.runs_of_kind("wind")[0]
+    sound = reduced(lambda volts, share: volts)
+    size = np.abs(sound.amplitude[1:, 2]).max()
+    column = dict(zip(trim.channel_names, size * trim.C0[:, 2], strict=True))
+    step = np.array([column.get(name, 0.0) for name in wind.channel_names])
+    moved = reduced(lambda volts, share: volts + ((share * 12.0 % 1.0 < 0.06) & (share > 0.0)) * step)
+    error, lift = np.abs(moved.amplitude[0] - sound.amplitude[0]).real, sound.components.index("Fz")
+    assert error[lift] == pytest.approx(0.06 * size, rel=0.25)
+    assert error[lift] < 2.0 * moved.sigma_cosine[0, lift]
+    assert sound.sigma_cosine[0, lift] < 0.2 * error[lift]
