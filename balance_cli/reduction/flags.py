@@ -28,7 +28,8 @@ MODEL_CONTRADICTED = "model contradicted"
 """The response misses its own measured data by a share of the load that matters."""
 
 UNRESOLVED = "not resolved"
-"""The record is too short to resolve a mode of the balance, whose response is not one number within the bandwidth."""
+"""The record is too short to resolve a mode of the balance, whose response is not one number within the bandwidth, or
+the lines of a measured response are too far apart."""
 
 FLAGS = (
     NO_ZERO,

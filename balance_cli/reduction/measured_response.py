@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -28,17 +28,27 @@ from balance_cli.signals.response.choices import has_contradicting_responses
 
 if TYPE_CHECKING:  # Reductions by a model ask for the type of their source, and interpolate nothing.
     from balance_cli.reduction.spin_dependence import SpinDependence
+    from balance_cli.reduction.weighted_least_squares import SolvedLoads
+    from balance_cli.signals.response.interpolation_error import InterpolationWithError
     from balance_cli.signals.response.transfer import Transfer
     from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 
 SPIN_NOTE = (
     "the responses depend on the rotor speed, and some were not measured at that of the run: their change is in sigma; "
     "sweep all loads with the rotor turning, or reduce by a model with gyroscopic-coupling"
 )
+
+GUESSED_SHARE = 0.1
+"""Standard deviation of a load by the interpolation, as a share of the load, that flags it: as of a model's error."""
+
+
+SMALL_LOAD = 0.02
+"""Of the largest load of a harmonic: a smaller one counts as that large. A load that is zero is known to no share."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +124,17 @@ class TransferSource(ResponseWithoutModel):
 
         Each response was measured by itself, so that their errors are independent.
         """
-        from balance_cli.signals.response.interpolation_error import interpolate_with_error
+        return self._propagate(frequency, loads, lambda judged: judged.response.channel_covariance)
+
+    def form_covariance(self, frequency: Array, loads: ComplexArray) -> Array:
+        """Return the part (h, 2c, 2c) of `covariance` that is the error of the curves between their lines."""
+        return self._propagate(frequency, loads, lambda judged: judged.form)
+
+    def _propagate(
+        self, frequency: Array, loads: ComplexArray, part: Callable[[InterpolationWithError], ComplexArray]
+    ) -> Array:
+        """Return the covariance (h, 2c, 2c) of T f for loads f (h, 6) by a part (h, c, c) of that of each response."""
+        from balance_cli.signals.response.interpolation_error import interpolate_and_judge
 
         # Of several sets of loads the frequencies are the same.
         frequency, place = np.unique(frequency, return_inverse=True)
@@ -123,10 +143,10 @@ class TransferSource(ResponseWithoutModel):
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
-            at = interpolate_with_error(measured, frequency, self.interpolation)
+            at = interpolate_and_judge(measured, frequency, self.interpolation)
             f = loads[:, columns]
-            scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.load_covariance[place], f))
-            total[:, rows[:, None], rows] += scale[:, None, None] * at.channel_covariance[place]
+            scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.response.load_covariance[place], f))
+            total[:, rows[:, None], rows] += scale[:, None, None] * part(at)[place]
         return circular_real(total)
 
 
@@ -188,3 +208,44 @@ def lowest_frequency(source: ResponseSource) -> float:
     if not isinstance(source, TransferSource):
         return -float("inf")
     return max(float(measured.frequency[0]) for measured in source.responses)
+
+
+def unresolved_loads(
+    source: ResponseSource,
+    solution: SolvedLoads,
+    frequency: Array,
+    components: Sequence[str],
+    live: tuple[str, ...],
+    scale: Array,
+) -> Mask:
+    """Return the loads (n, m) that the error of the interpolation makes uncertain by a share of them, beyond noise.
+
+    They are those of m `components` at `frequency` (n,) from the `live` channels; `scale` (m,) makes them comparable.
+    """
+    loads = solution.loads
+    if not isinstance(source, TransferSource):
+        return np.zeros(loads.shape, bool)
+    m = loads.shape[1]
+    all_loads = np.zeros((len(loads), len(COMPONENTS)), complex)
+    all_loads[:, [COMPONENTS.index(name) for name in components]] = loads
+    rows = np.array(source.channel_combination(frequency, live).rows)
+    rows = np.concatenate([rows, rows + len(source.channel_names)])
+    form = source.form_covariance(frequency, all_loads)[:, rows[:, None], rows]
+    G = solution.equations.estimator
+    variance = np.einsum("hba,hac,hbc->hb", G, form, G)
+    noise = np.diagonal(solution.noise_covariance, axis1=1, axis2=2)
+    guessed, noise = variance[:, :m] + variance[:, m:], noise[:, :m] + noise[:, m:]
+    size = np.abs(loads) * scale
+    size = np.maximum(size, SMALL_LOAD * size.max(axis=1, keepdims=True)) / scale
+    return np.asarray((guessed > (GUESSED_SHARE * size) ** 2) & (guessed > noise))
+
+
+def unresolved_note(unresolved: Mask) -> str:
+    """Return the harmonics of which loads (n, m) are unresolved, with a remedy; empty where there are none."""
+    harmonics = ", ".join(str(n + 1) for n in np.flatnonzero(unresolved.any(axis=1)))
+    if not harmonics:
+        return ""
+    return (
+        f"harmonics {harmonics} lie between lines of the measured responses that are too far apart to tell the "
+        "response there: sweep in smaller steps, or at the harmonics themselves, or reduce by a model"
+    )

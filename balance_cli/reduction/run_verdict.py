@@ -43,7 +43,10 @@ MEANINGS = {
         "the response misses its own data, or known loads, by more than a tenth of the load, or channels or loads are "
         "not as in other runs: the notes say which"
     ),
-    UNRESOLVED: "the record is too short to resolve a mode of the balance",
+    UNRESOLVED: (
+        "the record is too short, or the lines of the measured response are too far apart, to resolve a mode of the "
+        "balance"
+    ),
 }
 """What each flag says of the rows of a run."""
 

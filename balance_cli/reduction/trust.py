@@ -16,10 +16,12 @@ from balance_cli.reduction.flags import (
     NOT_STEADY,
     REDUNDANCY,
     UNMODELLED_LINE,
+    UNRESOLVED,
     UNTESTED,
     join_flags,
 )
 from balance_cli.reduction.harmonic_loads import LoadProblem
+from balance_cli.reduction.measured_response import unresolved_loads, unresolved_note
 from balance_cli.reduction.record_lines import lines_of_record
 from balance_cli.reduction.response_sources import ResponseSource, circular_real
 from balance_cli.reduction.result import RunLoads
@@ -50,7 +52,7 @@ channel where the line is strongest it is so many times the noise, and so it is 
 
 @dataclass(frozen=True)
 class Trust:
-    """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model.
+    """Findings about the loads (n+1, m) of a record: untested, unsteady, contradicted by the model or not resolved.
 
     `reached` (n+1, m) are the loads that one of the `lines` reaches; `confounded` the harmonics beside which another
     rotor has a line; `pairs` the channels of one cell that contradict each other, so that every load is rejected;
@@ -64,6 +66,7 @@ class Trust:
     unsteady: Mask
     contradicted: Mask
     rejected: Mask
+    unresolved: Mask
     lines: tuple[UnmodelledLine, ...]
     reached: Mask
     confounded: frozenset[int] = frozenset()
@@ -84,7 +87,8 @@ class Trust:
         channels = f"{self.wrong_channels}: undone, {self.evidence}" if self.wrong_channels else ""
         lines = (line.explain(n, self.regressed) + _remedy(line) for line in self.lines)
         pairs = (pair.description for pair in self.pairs)
-        return (*filter(None, [channels, *lines, *pairs, self.suspect_note, self.steadiness_note, self.passing_note]),)
+        said = (self.suspect_note, self.steadiness_note, self.passing_note, unresolved_note(self.unresolved[1:]))
+        return (*filter(None, [channels, *lines, *pairs, *said]),)
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -99,6 +103,7 @@ class Trust:
             NOT_STEADY if self.unsteady[h, j] else "",
             UNMODELLED_LINE if self.reached[h, j] or h in self.confounded else "",
             MODEL_CONTRADICTED if self.contradicted[h, j] else "",
+            UNRESOLVED if self.unresolved[h, j] else "",
         )
 
 
@@ -152,11 +157,13 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
         by_turbulence = mistakes_by_turbulence(record, geometry, source)
     if is_rejected and not mistakes:
         suspect = contradicting_channels(record, geometry, source, reduced.solution, reduced.response)
+    at = record.spectra.frequency_hz[1:], record.components, record.health.live
     return Trust(
         untested=_untested_loads(reduced),
         unsteady=content.steadiness.unsteady | _below_mean(np.full_like(rejected, bool(record.pulse_doubt))),
         contradicted=_below_mean(source.is_contradicted | _model_error_matters(reduced.solution)) | bool(by_turbulence),
         rejected=_below_mean(rejected) | bool(pairs) | bool(mistakes),
+        unresolved=_below_mean(unresolved_loads(source, reduced.solution, *at, reduced.problem.scale)),
         lines=content.lines,
         reached=_below_mean(_reached_loads(content.lines, reduced, regressed)),
         confounded=frozenset(line.order for line in record.confounded),

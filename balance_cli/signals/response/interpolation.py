@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.window import derivative_rows, pole_uncertainty, response_rows
+from balance_cli.signals.response.line_correction import residual_shares
 from balance_cli.signals.response.window_models import LOCAL_LINES, WindowModel, neighboring_lines, window_models
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -45,7 +46,7 @@ class _LineWeights:
     """The response as a weighted sum of lines.
 
     `index` (M,) are the lines, `value` and `derivative` (M,) their weights, `spread` (c, u, s) the standard deviations
-    that the uncertainty of the poles adds.
+    that the uncertainty of the poles adds, and that of their number.
     """
 
     index: Index
@@ -87,8 +88,7 @@ def interpolate_values(response: FrequencyResponse, frequency: Array, method: st
     values = np.empty((len(query_frequency), *response.response.shape[1:]), complex)
     for g, model in enumerate(window_models(response, starts[:, None] + np.arange(index.shape[1]))):
         members = np.flatnonzero(gap == g)
-        rows = response_rows(model.fit, model.position(query_frequency[members]))
-        weights = (rows @ model.fit.pseudoinverse)[:, 0]
+        weights, _ = _value_weights(response, model, query_frequency[members])
         values[members] = np.tensordot(weights, response.response[model.index], axes=1)
     return values
 
@@ -172,19 +172,48 @@ def _local_model_weights(
     return [_window_weights(response, model, f) for model, f in zip(models, query_frequency, strict=True)]
 
 
+def _value_weights(
+    response: FrequencyResponse, model: WindowModel, query_frequency: Array
+) -> tuple[ComplexArray, Array]:
+    """Weights (n, M) of the lines of a window at frequencies (n,) [Hz], and the shares (n, M) of residuals in them."""
+    fit = model.fit
+    rows = response_rows(fit, model.position(query_frequency))[:, 0]
+    shares = residual_shares(model, response.frequency[model.index], query_frequency)
+    return np.asarray((rows - shares @ fit.regressors) @ fit.pseudoinverse + shares), shares
+
+
 def _window_weights(response: FrequencyResponse, model: WindowModel, query_frequency: float) -> _LineWeights:
     """Weights at a frequency [Hz], and the spread from the poles."""
     c, u = response.response.shape[1:]
     fit, index, sigma = model.fit, model.index, model.sigma
-    place = np.atleast_1d(model.position(query_frequency))
-    S = fit.pseudoinverse
-    value, derivative = (response_rows(fit, place) @ S)[0, 0], (derivative_rows(fit, place) @ S)[0, 0] / model.half
+    (value,), (shares,) = _value_weights(response, model, np.atleast_1d(query_frequency))
+    used = np.flatnonzero(shares)
+    place = np.concatenate([np.atleast_1d(model.position(query_frequency)), fit.r[used]])
+    derivative = (derivative_rows(fit, place[:1]) @ fit.pseudoinverse)[0, 0] / model.half
+    rivals = np.zeros((c, u, 0), complex) if used.size else _rival_spread(response, model, query_frequency, value)
     if fit.orders.denominator == 0:
-        return _LineWeights(index, value, derivative, np.zeros((c, u, 0), complex))
+        return _LineWeights(index, value, derivative, rivals)
     noise = np.einsum("kce,kuv->kcuev", response.channel_covariance[index], response.load_covariance[index])
     noise = noise.reshape(len(index), c * u, c * u) / (sigma[:, None] * sigma)
-    shift = pole_uncertainty(fit, place, noise)[0, :, 0] * sigma[:, None]
-    return _LineWeights(index, value, derivative, shift.reshape(c, u, -1))
+    shifts = pole_uncertainty(fit, place, noise)[:, :, 0] * sigma[:, None]
+    shift = shifts[0] - np.tensordot(shares[used], shifts[1:], axes=1)
+    return _LineWeights(index, value, derivative, np.concatenate([shift.reshape(c, u, -1), rivals], axis=2))
+
+
+def _rival_spread(
+    response: FrequencyResponse, model: WindowModel, query_frequency: float, value: ComplexArray
+) -> ComplexArray:
+    """Standard deviations (c, u, s) that models add which the lines of a window hardly tell from the best one.
+
+    A pole that noise makes beside a mode gains little over a model without it, and sigma of either knows only its own.
+    """
+    lines, place = response.response[model.index], np.atleast_1d(model.position(query_frequency))
+    columns = [
+        np.sqrt(rival.weight)
+        * np.tensordot((response_rows(rival.fit, place) @ rival.fit.pseudoinverse)[0, 0] - value, lines, axes=1)
+        for rival in model.rivals
+    ]
+    return np.stack(columns, axis=2) if columns else np.zeros((*lines.shape[1:], 0), complex)
 
 
 def _apply_weights(response: FrequencyResponse, weights: _LineWeights) -> tuple[ComplexArray, ...]:

@@ -33,13 +33,24 @@ FALSE_POLE = 0.01
 standard deviations."""
 MOST_KEPT = 4096
 """Windows of one response that are kept, of 6 kB each with 15 channels."""
+LEAST_WEIGHT = 0.01
+"""Weight of a model beside the best one from which it counts: one of less changes sigma by less than a hundredth of
+what they differ by."""
+
+
+@dataclass(frozen=True)
+class RivalModel:
+    """A model of a window that the lines hardly tell from the best one, with its Akaike weight."""
+
+    fit: WindowFit
+    weight: float
 
 
 @dataclass(frozen=True)
 class WindowModel:
     """The best local model of the lines `index` (M,), about their `center` [Hz] with the half-width `half` [Hz].
 
-    `sigma` (c u,) are the standard deviations by which the outputs were divided.
+    `sigma` (c u,) are the standard deviations by which the outputs were divided. `rivals` may be right as well.
     """
 
     index: Index
@@ -47,6 +58,7 @@ class WindowModel:
     center: float
     half: float
     sigma: Array
+    rivals: tuple[RivalModel, ...] = ()
 
     def position(self, frequency: Array | float) -> Array:
         """The position of a frequency [Hz] in the window, -1 and 1 at its outer lines."""
@@ -93,10 +105,23 @@ def _fit_windows_of_lines(response: FrequencyResponse, index: Index) -> list[Win
         orders for orders in INTERPOLATION_ORDERS if orders.response + orders.denominator + 2 < index.shape[1]
     ]
     fits = [fit_windows(windows, orders) for orders in candidates]
-    best = np.argmin([_criterion(windows, fit) for fit in fits], axis=0)
+    criteria = np.array([_criterion(windows, fit) for fit in fits])
+    best, weight = np.argmin(criteria, axis=0), np.exp(criteria.min(axis=0) - criteria)
+    weight /= weight.sum(axis=0)
     window_fits = [split_windows(fit, windows) for fit in fits]
     return [
-        WindowModel(row, window_fits[best[h]][h], float(center[h]), float(half[h]), sigma[h])
+        WindowModel(
+            row,
+            window_fits[best[h]][h],
+            float(center[h]),
+            float(half[h]),
+            sigma[h],
+            tuple(
+                RivalModel(window_fits[k][h], float(weight[k, h]))
+                for k in np.flatnonzero(weight[:, h] >= LEAST_WEIGHT)
+                if k != best[h]
+            ),
+        )
         for h, row in enumerate(index)
     ]
 

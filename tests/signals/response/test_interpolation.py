@@ -7,7 +7,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.response import window_models
 from balance_cli.signals.response.choices import INTERPOLATIONS
 from balance_cli.signals.response.interpolation import interpolate_response, interpolate_values
-from balance_cli.signals.response.interpolation_error import interpolate_with_error
+from balance_cli.signals.response.interpolation_error import interpolate_and_judge, interpolate_with_error
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from tests.support.swept_rig import LOAD_NOISE, MODES, NOISE, SweptRig, relative_error
 
@@ -214,3 +214,30 @@ def test_noise_makes_no_poles(seed):
     )
     error = interpolate_values(response, between, "local")[:, :, 0] - smooth(between)
     assert np.sqrt(np.mean(np.abs(error) ** 2, axis=1)).max() < 3.0 * sigma  # had been 5.3 to 21
+
+
+def test_a_measured_line_is_taken_where_lines_are_far_apart():
+    """Twenty half widths of a mode apart: a rational function through eleven lines misses them by a tenth and more."""
+    response = measured(lines=np.arange(5.0, 150.1, 5.0))
+    lines = response.frequency[4:-4]
+    for place, tolerance in ((lines, 3e-3), (lines * (1.0 + 1e-5), 5e-3)):
+        judged = interpolate_and_judge(response, place, "local")
+        assert np.max(relative_error(RIG, place, judged.response.value)) < tolerance
+        assert np.mean(squared_errors(judged.response, place) < 4.0) > 0.9
+        guessed = np.sqrt(np.trace(judged.form, axis1=1, axis2=2).real * judged.response.load_covariance[:, 0, 0].real)
+        assert np.max(guessed / np.linalg.norm(RIG.response(place), axis=(1, 2))) < 5e-3
+    between = 0.5 * (lines[1:] + lines[:-1])
+    judged = interpolate_and_judge(response, between, "local")
+    assert np.max(relative_error(RIG, between, judged.response.value)) > 0.1
+    assert np.mean(squared_errors(judged.response, between) < 4.0) > 0.9
+
+
+def test_a_pole_of_noise_beside_a_mode_is_in_sigma():
+    """At 59.84 Hz noise makes a pole that lines hardly prefer: chi-square had been 8.8 per degree of freedom."""
+    rig = SweptRig(channels=4)
+    at = interpolate_response(measured(seed=5, rig=rig), places())
+    error = (at.value - rig.response(places()))[:, :, 0]
+    weight = np.linalg.inv(at.channel_covariance) / at.load_covariance
+    chi2 = np.einsum("hc,hcd,hd->h", error.conj(), weight, error).real / 4
+    assert np.max(chi2) < 5.0
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.15)
