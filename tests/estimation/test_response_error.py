@@ -9,6 +9,7 @@ from balance_cli.estimation.response_error_estimate import (
     Residuals,
     estimate_response_error,
     response_error_of_residuals,
+    with_unswept_loads,
 )
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
@@ -63,6 +64,32 @@ def test_the_error_of_a_wrong_model_is_the_one_there_is(campaign, batches):
         ratio = np.sqrt(variance / power)
         assert 0.6 < np.median(ratio) < 2.0
         assert np.mean(ratio > 0.4) > 0.9
+
+
+def test_a_load_that_no_sweep_applied_is_missed_by_the_same_share(campaign):
+    """Of the declared rig, swept by Fz and Mz alone, the error under the other loads is covered by what these show."""
+    spectra, names = measured_spectra(campaign.runs, campaign.geometry), campaign.geometry.channel_names
+    lines = [run for run in spectra.lines if run.components in (("Fz",), ("Mz",))]
+    system = balance_model(campaign.geometry).system()
+    found = estimate_response_error(stack_runs(lines, (), names), system, names)
+    frequency = found.frequency[(found.frequency > 15) & (found.frequency < 150)]
+    true_error = true_response(campaign.rig, frequency) - response(system, solve(system, frequency))
+    for j in (0, 1, 3, 4):
+        variance = np.einsum("kcc->k", found.covariance(frequency, np.eye(6, dtype=complex)[[j] * len(frequency)])).real
+        ratio = np.sqrt(variance / np.sum(np.abs(true_error[:, :, j]) ** 2, axis=1))
+        assert np.mean(ratio > 0.5) > 0.8
+    swept = estimate_response_error(stack_runs(spectra.lines, (), names), system, names)
+    assert swept.factor.shape[-1] == 3
+
+
+def test_the_share_of_a_swept_load_is_that_of_the_others():
+    error = ResponseError(("a", "b"), np.array([10.0, 12.0, 40.0]), np.zeros((3, 6, 2, 3), complex))
+    error.factor[:, 2, 0, 0] = [0.1, 0.3, 0.0]
+    loads = np.ones((3, 2, 6), complex) * [1.0, 2.0, 1.0, 1.0, 1.0, 0.0]
+    loads[:, 1, 2] = 0.0
+    variance = with_unswept_loads(error, loads, {2}).covariance(error.frequency, np.eye(6, dtype=complex)[[1, 1, 1]])
+    np.testing.assert_allclose(np.einsum("kcc->kc", variance).real, np.outer([0.36, 0.36, 4.0 * 0.1 / 3], [1.0, 1.0]))
+    assert with_unswept_loads(error, loads, set(range(6))) is error
 
 
 def test_covariance_is_that_of_the_nearest_band_and_grows_with_the_load():
