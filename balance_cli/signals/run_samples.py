@@ -14,6 +14,11 @@ from balance_cli.io.errors import UserError
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+LARGEST_LOAD_CONDITION = 1e3
+"""Condition number of the loads of several runs, from which their noise is amplified a thousandfold."""
+SMALL_SHARE = 0.05
+"""Of the largest load of a combination: smaller ones are not worth a word."""
+
 
 def sample_rate(run: Run) -> float:
     """Return the sample rate [Hz]. Raises UserError where the run declares none."""
@@ -65,3 +70,12 @@ def measured_components(run: Run, loads: Array) -> tuple[str, ...]:
 def load_columns(components: Sequence[str]) -> list[int]:
     """Return the columns of these components among the six loads."""
     return [COMPONENTS.index(name) for name in components]
+
+
+def combination_text(weights: Array, names: Sequence[str]) -> str:
+    """Return a combination of loads in words, its largest first."""
+    order = np.argsort(-np.abs(weights), kind="stable")
+    weights = weights / weights[order[0]]
+    shown = [i for i in order if abs(weights[i]) >= SMALL_SHARE]
+    words = [names[i] if weights[i] == 1.0 else f"{weights[i]:+.2g} {names[i]}" for i in shown]
+    return " ".join(words)

@@ -14,10 +14,16 @@ from balance_cli.signals.local.misfit import missed_response_power
 from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models
 from balance_cli.signals.local.scaled_spectrum import local_power, record_spectrum
 from balance_cli.signals.local.window import pole_uncertainty, response_rows
+from balance_cli.signals.run_samples import LARGEST_LOAD_CONDITION, combination_text
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+
+LEAST_SEPARATE_POWER = 10.0
+"""Least power of each combination of loads over that of their noise. Loads of different phases have a share of 0.1 and
+more of their power in each; two loads of one ratio left responses 80 % wrong."""
 
 
 def local_response(
@@ -35,6 +41,7 @@ def local_response(
 def response_from_models(models: LocalModels, estimator: str) -> FrequencyResponse:
     """Return the response of fitted models with separable covariance and coherences, at the excited lines [V/N]."""
     s = models.spectrum
+    _require_separable_loads(models)
     lines = decimate_lines(s.excited)
     channel_covariance, load_covariance = _response_covariance(models, lines)
     response = models.response[lines]
@@ -55,6 +62,26 @@ def response_from_models(models: LocalModels, estimator: str) -> FrequencyRespon
         rotor_speed=s.run.rotor_speed,
         level=s.run.level,
     )
+
+
+def _require_separable_loads(models: LocalModels) -> None:
+    """Raise UserError where loads have one ratio in most windows, up to their noise: only their sum has a response."""
+    s = models.spectrum
+    if len(s.components) == 1:
+        return
+    windows = [fit.U for fit in models.fit]
+    powers = np.stack([U.conj().T @ U / len(U) for U in windows])
+    values, vectors = np.linalg.eigh(powers)
+    least = vectors[:, :, 0]
+    floor = np.einsum("wu,uv,wv->w", least.conj(), models.noise.loads, least).real
+    floor = np.maximum(LEAST_SEPARATE_POWER * floor, values[:, -1] / LARGEST_LOAD_CONDITION**2)
+    if np.median(values[:, 0] > floor) > 0.5:
+        return
+    weights = np.linalg.eigh(powers.mean(axis=0).real)[1][:, 0] * s.load_scale
+    missing = combination_text(weights, s.components)
+    fault = f"the loads {', '.join(s.components)} were applied in a fixed ratio: {missing} was never applied"
+    remedy = "Excite one component at a time, or record as many runs as components with different phases"
+    raise UserError(fault, s.run.file, "loads", f"{remedy}; `identify` needs no response to each")
 
 
 def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:

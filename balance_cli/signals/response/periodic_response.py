@@ -21,6 +21,7 @@ from balance_cli.signals.local.response import coherences, response_from_models
 from balance_cli.signals.local.scaled_spectrum import ScaledSpectrum
 from balance_cli.signals.local.widths import sliding_windows
 from balance_cli.signals.periodic import PeriodicRecord
+from balance_cli.signals.run_samples import LARGEST_LOAD_CONDITION
 from balance_cli.signals.run_spectrum import FrequencyResponse, RunSpectrum
 
 Array = NDArray[np.float64]
@@ -33,8 +34,6 @@ LEAST_REDUNDANT_DOF = 40
 """Complex degrees of freedom over which the variance of redundant runs is averaged: it is then known to a sixth."""
 CLEAR_DIFFERENCE_SIGMA = 4.0
 """Standard deviations of that variance from which the runs differ by more than their noise: p = 3e-5."""
-LARGEST_LOAD_CONDITION = 1e3
-"""Condition number of the loads of several runs, from which their noise is amplified a thousandfold."""
 
 
 def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
-from balance_cli.signals.response.periodic_response import LARGEST_LOAD_CONDITION, run_difference_ratio
+from balance_cli.signals.response.periodic_response import run_difference_ratio
 from balance_cli.signals.response.transfer import select_channels
+from balance_cli.signals.run_samples import LARGEST_LOAD_CONDITION, combination_text
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
@@ -28,8 +29,6 @@ LEAST_COMMON = 0.5
 """Share of those lines from which the ones that all records have serve: records of one length share nearly all."""
 INTERPOLATION = "spline"
 """The lines of a tap of seconds lie within the width of a mode; local models of thousands of lines take minutes."""
-SMALL_SHARE = 0.05
-"""Of the largest load of a combination: smaller ones are not worth a word."""
 
 
 @dataclass(frozen=True)
@@ -173,19 +172,10 @@ def _require_span(A: Array, names: tuple[str, ...], forces: Sequence[PointForce]
     if rank == len(names):
         return
     runs = ", ".join(force.response.run for force in forces)
-    missing = _combination_text(left[:, -1] / scale, names)
+    missing = combination_text(left[:, -1] / scale, names)
     few = plural(len(forces), "force")
     fault = (
         f"{few} at points drove {len(names)} hub loads in {plural(rank, 'combination')}: nothing drove {missing} alone"
     )
     remedy = "Tap or drive further points, in directions that differ, or use `identify`, which needs fewer"
     raise UserError(fault, f"runs {runs}", remedy=remedy)
-
-
-def _combination_text(weights: Array, names: tuple[str, ...]) -> str:
-    """Return a combination of loads in words, its largest first."""
-    order = np.argsort(-np.abs(weights), kind="stable")
-    weights = weights / weights[order[0]]
-    shown = [i for i in order if abs(weights[i]) >= SMALL_SHARE]
-    words = [names[i] if weights[i] == 1.0 else f"{weights[i]:+.2g} {names[i]}" for i in shown]
-    return " ".join(words)
