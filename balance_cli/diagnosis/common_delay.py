@@ -6,27 +6,31 @@ only the channels turn the harmonics of wind-on loads. So the update describes t
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
-from balance_cli.diagnosis.conclusions import alike_in_all
+from balance_cli.diagnosis.alike_effects import alike_in_all
 from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, Diagnosis
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.model.effects.places import acts_on_loads
 from balance_cli.model.placed_effects import place_effect
 
 
-def judge_common_delay(diagnosis: Diagnosis, updated: IdentifiedModel) -> tuple[Diagnosis, IdentifiedModel]:
+def judge_common_delay(
+    diagnosis: Diagnosis, updated: IdentifiedModel, swept: Collection[str] | None = None
+) -> tuple[Diagnosis, IdentifiedModel]:
     """Return diagnosis and updated model of which an effect of all channels is no explanation, but a doubt.
 
     The loads then have in sigma what they differ by if the other is the cause: by the variance of its parameters in the
-    updated model, which contains their squares, or, of an effect of loads, by a lag that the channels may have.
+    updated model, which contains their squares, or, of an effect of loads, by a lag that the channels may have. `swept`
+    are the components that sweeps applied (None: all): the delay of the only one may be that of the channels.
     """
     names, covariance = list(updated.parameters.names), updated.covariance.copy()
     channels_may_lag, notes = updated.channels_may_lag, []
     is_good = diagnosis.verdict == EXPLAINED
     for effect in diagnosis.effects:
         placed = place_effect(effect.name, effect.where, updated.geometry)
-        alike = alike_in_all(placed, updated.geometry, is_good)
+        alike = alike_in_all(placed, updated.geometry, is_good, swept)
         if alike is None or effect.is_of_no_consequence:
             continue
         if acts_on_loads(placed.effect.places, updated.geometry):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
+from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.campaign.rig.load_components import carried_components
+from balance_cli.diagnosis.alike_effects import alike_in_all
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
     CONTRADICTED,
@@ -33,9 +33,8 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.estimation.recorded_loads import swept_components
 from balance_cli.io.percent import percent_text
-from balance_cli.model.effects.places import acts_on_loads, channels_at
-from balance_cli.model.effects.search_hints import CommonAlternative
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import PlacedEffect
 
@@ -189,13 +188,13 @@ def describe_added_effects(
     """
     by_label = {effect.label: effect for effect in fitted}
     doubted = () if update.is_good else doubtful_effects(update.fit, update.effect_support, batches, settings.selection)
-    effects = []
+    swept, effects = swept_components(batches), []
     for effect in placed:
         support = update.effect_support.get(effect.label)
         if support is None:
             continue
         described = by_label[effect.label]
-        others, remedy = _alternatives(effect, support.equivalent, update.fit.geometry)
+        others, remedy = _alternatives(effect, support.equivalent, update.fit.geometry, swept)
         parameters = tuple(
             replace(item, interval=intervals.get(f"{effect.label}.{item.name}")) for item in described.parameters
         )
@@ -215,26 +214,14 @@ def describe_added_effects(
     return tuple(sorted(effects, key=lambda item: -item.evidence.gain))
 
 
-def _alternatives(effect: PlacedEffect, equivalent: tuple[str, ...], geometry: Geometry) -> tuple[tuple[str, ...], str]:
+def _alternatives(
+    effect: PlacedEffect, equivalent: tuple[str, ...], geometry: Geometry, swept: Collection[str]
+) -> tuple[tuple[str, ...], str]:
     """The effects that describe the data as well, those found to be `equivalent` first, and what separates them."""
-    alike = alike_in_all(effect, geometry)
+    alike = alike_in_all(effect, geometry, swept=swept)
     if alike is not None:
         return (*equivalent, alike.label), alike.separated_by
     return equivalent, effect.effect.separated_by if equivalent else ""
-
-
-def alike_in_all(effect: PlacedEffect, geometry: Geometry, is_good: bool = True) -> CommonAlternative | None:
-    """Return the effect that looks the same as this one in all channels, or loads; None where it acts on some.
-
-    Where not all is explained (`is_good`), a torque meter that an effect of all cells leaves out proves nothing.
-    """
-    alike = effect.effect.search.alike_in_all
-    if alike is None or effect.where == (ALL,):
-        return alike
-    if acts_on_loads(effect.effect.places, geometry):
-        return alike if set(carried_components(geometry)) <= set(effect.where) else None
-    left_out = [item for item in geometry.channels if item.name not in channels_at(geometry, effect.where)]
-    return None if any(is_good or item.cell_weights for item in left_out) else alike
 
 
 def _evidence(

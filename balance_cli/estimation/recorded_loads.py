@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.batch import Batch
 from balance_cli.model.exciter_loads import true_load_matrices
 from balance_cli.model.system import System
@@ -28,3 +31,12 @@ def attached_exciters(batch: Batch) -> NDArray[np.bool_]:
     attached = np.zeros((len(batch.lines.index), 6), bool)
     np.put_along_axis(attached, batch.lines.components, True, axis=1)
     return attached
+
+
+def swept_components(batches: Sequence[Batch]) -> frozenset[str]:
+    """Return the load components that some sweep applied."""
+    columns = set[int]()
+    for batch in batches:
+        is_applied = (np.abs(batch.lines.loads) > 0) & (batch.line_frequency > 0)[:, None]
+        columns.update(np.unique(batch.lines.components[is_applied]).tolist())
+    return frozenset(COMPONENTS[j] for j in columns)

@@ -104,12 +104,18 @@ class ModelSource:
         covariance = J @ self.parameter_covariance @ J.swapaxes(1, 2)
         errors = [] if not self.model.gain_error else [self.model.gain_error * loads]
         if self.model.channels_may_lag:
-            errors.append((recorded_over_load(self.system.equations, solution.frequency) - 1.0) * loads)
+            errors.append(self._common_lag(solution.frequency) * loads)
         for error in errors:
             off = response(self.system, solution) @ error[:, :, None]
             off = np.concatenate([off.real, off.imag], axis=1)
             covariance = covariance + off @ off.swapaxes(1, 2)
         return np.asarray(covariance)
+
+    def _common_lag(self, frequency: Array) -> ComplexArray:
+        """What channels that lag as recorded loads do make of loads (h, 6), those without a lag as the largest."""
+        lag = recorded_over_load(self.system.equations, frequency) - 1.0
+        most = np.take_along_axis(lag, np.argmax(np.abs(lag), axis=1)[:, None], axis=1)
+        return np.where(lag == 0.0, most, lag)
 
     @property
     def parameter_covariance(self) -> Array:

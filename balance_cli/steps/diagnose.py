@@ -42,6 +42,7 @@ from balance_cli.estimation.force_noise import add_force_noise
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.recorded_loads import swept_components
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import Estimate, balance_model
 from balance_cli.model.placed_effects import declared_effects
@@ -95,7 +96,8 @@ def diagnose(
     drift = share_with_forces(zeros.drift, fit.system(), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
-    diagnosis, updated = judge_common_delay(judge_number_of_causes(diagnosis), updated)
+    diagnosis = judge_number_of_causes(diagnosis)
+    diagnosis, updated = judge_common_delay(diagnosis, updated, swept_components(batches))
     announce("done")
     return diagnosis, updated
 

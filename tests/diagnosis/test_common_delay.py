@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.alike_effects import alike_in_all
 from balance_cli.diagnosis.common_delay import judge_common_delay
-from balance_cli.diagnosis.conclusions import alike_in_all
 from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, FoundEffect
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
@@ -116,3 +116,24 @@ def test_a_delay_of_the_only_load_may_be_one_of_the_channels() -> None:
         assert alike_in_all(place_effect(name, ("Fz",), rig), rig) is not None
     both = two_degrees_of_freedom()
     assert alike_in_all(place_effect("load-delay", ("Fz",), both), both) is None
+
+
+def test_a_delay_of_the_only_load_that_was_swept_may_be_one_of_the_channels() -> None:
+    """It had been a cause on rigs of several components. Channels that lag turn loads that no sweep applied, too."""
+    rig = two_degrees_of_freedom()
+    placed = place_effect("load-delay", ("Fz",), rig)
+    assert alike_in_all(placed, rig, swept={"Fz"}) is not None
+    assert alike_in_all(placed, rig, swept={"Fz", "Fx", "My"}) is None and alike_in_all(placed, rig, swept=()) is None
+    content = strain_only().model_dump(mode="json", exclude_none=True)
+    content |= {"effects": [{"name": "load-delay", "where": ["Fz"], "parameters": {"delay": 5e-4}}]}
+    model = identify(Spectra((), (), {}, {}), Geometry.model_validate(content), IdentifyOptions(method="computed"))
+    effect = FoundEffect("load-delay", ("Fz",), (), delay_effect().evidence)
+    found = replace(diagnosis(EXPLAINED), effects=(effect,))
+    judged, updated = judge_common_delay(found, model, {"Fz"})
+    assert judged.verdict == PARTLY_EXPLAINED and "may as well be time-delay@all" in judged.notes[-1]
+    assert judge_common_delay(found, model, {"Fz", "Fx"})[0].verdict == EXPLAINED
+    f, loads = np.array([20.0]), np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 0.0]], complex)
+    before, after = (ModelSource(item).covariance(f, 0.0, loads)[0] for item in (model, updated))
+    read = load_response(ModelSource(model).system, f)[0] @ loads[0]
+    off = (np.exp(-2j * np.pi * 20.0 * 5e-4) - 1.0) * read
+    assert np.sqrt(np.diag(after - before)) == pytest.approx(np.abs(np.concatenate([off.real, off.imag])), rel=1e-6)
