@@ -35,6 +35,7 @@ from balance_cli.diagnosis.result import (
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from balance_cli.diagnosis.unidentifiable_effects import judge_unidentifiable_effects
 from balance_cli.diagnosis.worse_update import refuse_worse_update
 from balance_cli.diagnosis.zero_drift import add_drift_variance, find_zeros, judge_zero_drift, share_with_forces
 from balance_cli.estimation.batch import Batch
@@ -96,10 +97,9 @@ def diagnose(
     drift = share_with_forces(zeros.drift, fit.system(), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
-    diagnosis = judge_number_of_causes(diagnosis)
-    diagnosis, updated = judge_common_delay(diagnosis, updated, swept_components(batches))
+    diagnosis = judge_unidentifiable_effects(judge_number_of_causes(diagnosis))
     announce("done")
-    return diagnosis, updated
+    return judge_common_delay(diagnosis, updated, swept_components(batches))
 
 
 def _note_time_limit(diagnosis: Diagnosis, announce: _Announcer, settings: SearchSettings) -> Diagnosis:
