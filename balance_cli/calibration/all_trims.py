@@ -22,6 +22,7 @@ from balance_cli.calibration.random_terms import fit_random_terms
 from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.series_zeros import series_zero_notes
 from balance_cli.calibration.swapped_channels import find_swapped_channels
+from balance_cli.calibration.systematic_residuals import systematic_residual_notes
 from balance_cli.calibration.tare_result import Tares
 from balance_cli.calibration.tares import screen_outliers_with_tares
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
@@ -131,7 +132,8 @@ def _screening_notes(points: CalibrationPoints, screened: ScreenedFit, tares: Ta
     own_products = own_product_notes(points, screened.fit)
     zeros = series_zero_notes(points, screened.fit) if tares is None else ()
     weight = undetermined_weight_notes(points, screened.fit) if tares is None else ()
-    return (*screened.screening_notes, *alarms, *own_products, *zeros, *weight)
+    systematic = systematic_residual_notes(points, screened.fit)
+    return (*screened.screening_notes, *alarms, *own_products, *zeros, *weight, *systematic)
 
 
 def _estimate_noise(points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_]) -> CalibrationNoise:
