@@ -61,8 +61,8 @@ def _lacking_loads(points: CalibrationPoints, fit: CalibrationModelFit, step: Ar
         names = ", ".join(f"{model.components[j]} {loads[j] * model.calibrated_range[j]:+.3g}" for j in lacks.tolist())
         yield (
             "the loads of all loaded rows lack a constant part that the unloaded rows do not have, about "
-            f"{names} (N, N m): a hanger or pan, or a jump of the readings at zero? Add its weight to them, or take the "
-            "tare with it"
+            f"{names} (N, N m): a hanger or pan, or a jump of the readings at zero? Add its weight to them, or take "
+            "the tare with it"
         )
 
 

@@ -28,6 +28,9 @@ half or less."""
 LATEST_START = 1e12
 """[s]. Clocks count from the year 0 at the earliest."""
 
+WHOLE_STEP = 1e-6
+"""Difference of a step of times from a whole number that rounding leaves."""
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -121,8 +124,20 @@ class ChannelFinder(ChannelNames):
         except UserError as error:
             place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
-        notes = (axis.note, contradiction(time.file, axis.rate, f"its times `{time.name}`"))
+        notes = (
+            axis.note,
+            contradiction(time.file, axis.rate, f"its times `{time.name}`"),
+            "" if self._map.time_unit or time.unit else _assumed_seconds(time.name, axis.rate),
+        )
         return _strided(Clock(axis.rate, axis.start, group.samples), group), "; ".join(filter(None, notes))
+
+
+def _assumed_seconds(name: str, rate: float) -> str:
+    """Say that times without a unit whose steps are whole numbers were taken as seconds; empty of other steps."""
+    step = 1.0 / rate
+    if step < 1.0 - WHOLE_STEP or abs(step - round(step)) > WHOLE_STEP:
+        return ""
+    return f"the times `{name}` have no unit and were taken as seconds, {rate:.4g} Hz: state `time_unit` if they are ms"
 
 
 def _evened(file: ForeignFile, declared: ImportMap) -> ForeignFile:

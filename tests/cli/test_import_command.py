@@ -614,3 +614,24 @@ def test_an_encoder_with_few_samples_for_each_pulse_needs_a_speed(tmp_path):
     assert "look the same as these" in result.stderr and "state `rotor_speed`" in result.stderr
     mapping["runs"][0]["rotor_speed"] = 17.5
     run_import(tmp_path, mapping, tmp_path / "record")
+
+
+@pytest.mark.parametrize(("step", "unit", "is_named"), [(1, None, True), (1, "ms", False), (0.001, None, False)])
+def test_whole_numbers_as_times_without_a_unit_are_named(tmp_path, step, unit, is_named):
+    """Milliseconds were taken as seconds, a thousandth of the rate, without a word."""
+    values = np.random.default_rng(1).normal(size=300)
+    rows = "".join(f"{step * k:g},{value:.6f}\n" for k, value in enumerate(values))
+    (tmp_path / "a.csv").write_text("t,F1 [V]\n" + rows)
+    keys = {} if unit is None else {"time_unit": unit}
+    runs = [{"file": "*", "kind": "zero", "run": "a"}]
+    mapping = base_map(time="t", channels={"F1": {"name": "z1.strain", "unit": "V"}}, runs=runs, **keys)
+    result = run_import(tmp_path, mapping, tmp_path / "a.csv")
+    assert ("`t` have no unit and were taken as seconds, 1 Hz" in result.stdout) == is_named
+
+
+def test_a_recorded_time_that_is_none_is_named(tmp_path):
+    (tmp_path / "a.csv").write_text("F1 [V]\n" + "".join(f"{np.sin(k):.6f}\n" for k in range(300)))
+    runs = [{"file": "*", "kind": "zero", "run": "a", "recorded": "2024-13-05T10:00:00"}]
+    mapping = base_map(sample_rate=100.0, channels={"F1": {"name": "z1.strain", "unit": "V"}}, runs=runs)
+    result = run_import(tmp_path, mapping, tmp_path / "a.csv")
+    assert "`recorded` is `2024-13-05T10:00:00`, which is no time in ISO 8601" in result.stdout
