@@ -20,7 +20,7 @@ MIN_PERCENT = 1.0
 """Standard deviation of the back-calculated loads, percent of the calibrated range, from which it is large: balances
 reach 0.05 to 0.5 %, and 1 % is what a rotor balance of plain load cells is built for."""
 MIN_SCATTER_RATIO = 3.0
-"""The same over the scatter of repeated points: below, the readings are no better, and sigma says so."""
+"""The same over the scatter of points repeated in a series: below, the readings are no better, and sigma says so."""
 MIN_REPEATS = 5
 """Degrees of freedom of that scatter from which it is known to about a third."""
 SAME_LOAD = 1e-4
@@ -61,7 +61,10 @@ def _repeat_scatter(all_trims: AllTrimsCalibration) -> Array:
     used = all_trims.used
     x = all_trims.loads[used] / all_trims.model.calibrated_range
     found = 100.0 * computed_loads(all_trims)[used] / all_trims.model.calibrated_range
-    group = np.unique(np.round(x / SAME_LOAD), axis=0, return_inverse=True)[1].reshape(-1)
+    # The same load in two series tells whether these agree, and not how a reading scatters.
+    series = all_trims.run if all_trims.load_series is None else all_trims.load_series
+    keys = np.column_stack([series[used], np.round(x / SAME_LOAD)])
+    group = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
     is_loaded, is_known = np.any(np.abs(x) > SAME_LOAD, axis=1), np.isfinite(found).all(axis=1)
     # Weights and levers scatter under load alone; noise of the readings shows without it, too.
     parts = [_scatter_in_groups(found[rows], group[rows]) for rows in (is_loaded & is_known, ~is_loaded & is_known)]

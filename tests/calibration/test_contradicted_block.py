@@ -127,3 +127,23 @@ def test_noise_that_repeated_rows_show_is_no_contradiction():
 
     wrong = calibrate_all_trims(_points(misload)[0])
     assert {each.component for each in large_residuals(wrong)} == set(COMPONENTS)
+
+
+def test_the_same_loads_in_series_that_disagree_are_no_scatter_of_readings():
+    """Half of the series of single loads with half the supply: their contradiction had passed for noise."""
+    up = np.array([0.0, 0.5, 1.0, 0.5, 0.0])
+    x = np.vstack([np.outer(side * up, np.eye(6)[j]) for _ in range(2) for j in range(6) for side in (1.0, -1.0)])
+    series, rng = np.repeat(np.arange(24), len(up)), np.random.default_rng(7)
+    read = (x @ (np.eye(6) + 0.05 * rng.normal(size=(6, 6)))) * np.where(series < 12, 1.0, 0.7)[:, None]
+    points = CalibrationPoints(
+        tuple(f"g{c + 1}" for c in range(6)),
+        COMPONENTS,
+        ("stand",),
+        read + 2e-5 * rng.normal(size=x.shape),
+        x,
+        0 * series,
+        np.ones(len(x)),
+        np.ones(6),
+        stated_series=tuple(map(str, series)),
+    )
+    assert {each.component for each in large_residuals(calibrate_all_trims(points))} == set(COMPONENTS)
