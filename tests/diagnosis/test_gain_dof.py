@@ -25,7 +25,8 @@ def static_run(residual: np.ndarray, dof: float = 2.0):
     weighted = np.zeros((len(residual), 3), complex)
     weighted[:, 0] = residual
     run = run_information(slopes, parts, dof=1e9)
-    return replace(run, lines=StaticLines(slopes.astype(complex), weighted))
+    fitted = slopes[:, :, FITTED].astype(complex)
+    return replace(run, lines=StaticLines(slopes.astype(complex), weighted, fitted, run.weighted[:, :, FITTED]))
 
 
 def test_a_gain_of_one_line_has_the_degrees_of_freedom_of_its_noise():

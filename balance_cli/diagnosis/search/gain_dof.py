@@ -45,10 +45,9 @@ def _line_gains(
 ) -> tuple[Array, Array]:
     """Gain (K,) of each line by the step, with a noise that is known and with its own degrees of freedom."""
     assert run.lines is not None and run.weighted is not None
-    along = np.zeros(run.weighted.shape[2])
-    along[tested] = step
-    along[fitted] -= projection @ step
-    influence, change = run.weighted @ along, run.lines.derivatives @ along
+    with_it = projection @ step
+    influence = run.weighted[:, :, tested] @ step - run.lines.weighted_of_fitted @ with_it
+    change = run.lines.derivatives[:, :, tested] @ step - run.lines.of_fitted @ with_it
     s = 2.0 * np.sum((np.conj(change) * run.lines.weighted_residual).real, axis=1)
     V = 2.0 * np.sum((np.conj(change) * influence).real, axis=1)
     informative = np.flatnonzero(V > 0.0)

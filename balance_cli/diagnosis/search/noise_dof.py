@@ -29,10 +29,16 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class StaticLines:
-    """Derivatives dY (K, c, p) of lines whose noise has parts, and their weighted residual P r (K, c)."""
+    """Derivatives dY (K, c, p) of lines whose noise has parts, and their weighted residual P r (K, c).
+
+    `of_fitted` and `weighted_of_fitted` (K, c, f): dY and P dY of the fitted parameters alone, of which each candidate
+    takes all.
+    """
 
     derivatives: ComplexArray
     weighted_residual: ComplexArray
+    of_fitted: ComplexArray
+    weighted_of_fitted: ComplexArray
 
 
 @dataclass(frozen=True)
@@ -62,8 +68,9 @@ class RunInformation:
         diagonal = np.concatenate([block.reshape(-1)[:: len(block) + 1] for block in blocks])
         if not batch.runs[0].noise_parts:
             return cls(batch, derivatives.gradient(), cross, elements, diagonal, None)
-        lines = StaticLines(derivatives.derivatives, derivatives.fit.weighted)
-        return cls(batch, derivatives.gradient(), cross, elements, diagonal, derivatives.weighted(), lines)
+        of_all, weighted = derivatives.derivatives, derivatives.weighted()
+        lines = StaticLines(of_all, derivatives.fit.weighted, of_all[:, :, fitted], weighted[:, :, fitted])
+        return cls(batch, derivatives.gradient(), cross, elements, diagonal, weighted, lines)
 
     def variance(self, fitted: Index, tested: Index, projection: Array) -> Array:
         """Return the run's contribution (n,) to the variance of each score.
