@@ -47,6 +47,8 @@ GUESSED_SHARE = 0.1
 """Standard deviation of a load by the interpolation, as a share of the load, that flags it: as of a model's error."""
 
 
+MOST_KEPT = 4
+"""Sets of frequencies at which the responses are kept: the harmonics of a run, with and without the mean."""
 SMALL_LOAD = 0.02
 """Of the largest load of a harmonic: a smaller one counts as that large. A load that is zero is known to no share."""
 
@@ -134,20 +136,33 @@ class TransferSource(ResponseWithoutModel):
         self, frequency: Array, loads: ComplexArray, part: Callable[[InterpolationWithError], ComplexArray]
     ) -> Array:
         """Return the covariance (h, 2c, 2c) of T f for loads f (h, 6) by a part (h, c, c) of that of each response."""
-        from balance_cli.signals.response.interpolation_error import interpolate_and_judge
-
         # Of several sets of loads the frequencies are the same.
         frequency, place = np.unique(frequency, return_inverse=True)
         count = len(self.channel_names)
         total = np.zeros((len(place), count, count), complex)
-        for measured in self.responses:
+        for measured, at in zip(self.responses, self._interpolated(frequency), strict=True):
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
-            at = interpolate_and_judge(measured, frequency, self.interpolation)
             f = loads[:, columns]
             scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.response.load_covariance[place], f))
             total[:, rows[:, None], rows] += scale[:, None, None] * part(at)[place]
         return circular_real(total)
+
+    def _interpolated(self, frequency: Array) -> tuple[InterpolationWithError, ...]:
+        """Return all responses at frequencies (h,) [Hz]; tests of one run ask for the same dozens of times."""
+        from balance_cli.signals.response.interpolation_error import interpolate_and_judge
+
+        kept, key = self._kept, frequency.tobytes()
+        if key not in kept:
+            for oldest in list(kept)[: max(len(kept) + 1 - MOST_KEPT, 0)]:
+                del kept[oldest]
+            judged = (interpolate_and_judge(measured, frequency, self.interpolation) for measured in self.responses)
+            kept[key] = tuple(judged)
+        return kept[key]
+
+    @cached_property
+    def _kept(self) -> dict[bytes, tuple[InterpolationWithError, ...]]:
+        return {}
 
 
 def transfer_source(transfer: Transfer, interpolation: str) -> TransferSource:
