@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.terms import Term, all_terms, linear_terms, term_values
 from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.io.units import VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ class CalibrationMatrix:
     The p terms are `all_terms` of the k components, in that order. `coefficients` [V per N^a (N m)^b] are zero where a
     channel does not have a term. `calibrated_range`, `smallest_load` and `largest_load` (k,) [N, N m]; `zeros` (c,)
     [V]; `residual_sigma` (c,) [V] with `dof` (c,); `correlation` (c, c) of the residuals. `rig` is empty where the
-    matrix does not state it.
+    matrix does not state it. With a `reading_unit` of V/V or 1 (counts) V stands for it.
     """
 
     rig: str
@@ -39,6 +40,7 @@ class CalibrationMatrix:
     dof: Array
     correlation: Array
     coefficients: Array
+    reading_unit: str = VOLTAGE
 
     @property
     def term_names(self) -> tuple[str, ...]:
@@ -51,7 +53,7 @@ class CalibrationMatrix:
         return np.asarray(self.correlation * self.residual_sigma[:, None] * self.residual_sigma)
 
 
-def matrix_from_model(model: CalibrationModel, rig: str) -> CalibrationMatrix:
+def matrix_from_model(model: CalibrationModel, rig: str, reading_unit: str = VOLTAGE) -> CalibrationMatrix:
     """Convert a calibration model to a matrix; its zeros are the means over the load series."""
     terms = all_terms(len(model.components))
     row = {term.name(model.components): i for i, term in enumerate(terms)}
@@ -72,6 +74,7 @@ def matrix_from_model(model: CalibrationModel, rig: str) -> CalibrationMatrix:
         dof=model.dof,
         correlation=correlation,
         coefficients=per_full_range / terms_at_calibrated_range(model.calibrated_range)[:, None],
+        reading_unit=reading_unit,
     )
 
 
@@ -111,13 +114,14 @@ def terms_at_calibrated_range(full_range: Array) -> Array:
     return np.asarray(term_values(all_terms(len(full_range)), full_range[None])[0])
 
 
-def term_unit(term: Term, components: Sequence[str]) -> str:
-    """Unit of the coefficient of a term: `V/N`, `V/(N m)^2`, `V/(N (N m))`."""
+def term_unit(term: Term, components: Sequence[str], reading_unit: str = VOLTAGE) -> str:
+    """Unit of the coefficient of a term: `V/N`, `V/(N m)^2`, `V/(N (N m))`, `(V/V)/N`."""
     powers = {"N": 0, "N m": 0}
     for i in (term.i,) * (term.degree - (not term.single_load)) + (() if term.single_load else (term.j,)):
         powers[UNIT_OF[components[i]]] += 1
     parts = [_format_power(unit, power) for unit, power in powers.items() if power]
-    return f"V/{parts[0]}" if len(parts) == 1 else f"V/({' '.join(parts)})"
+    above = f"({reading_unit})" if "/" in reading_unit else reading_unit
+    return f"{above}/{parts[0]}" if len(parts) == 1 else f"{above}/({' '.join(parts)})"
 
 
 def _format_power(unit: str, power: int) -> str:

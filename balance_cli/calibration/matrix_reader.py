@@ -30,18 +30,19 @@ from balance_cli.calibration.matrix_text import (
     SMALLEST,
     TERM,
     UNIT,
-    VOLT,
     ZERO,
 )
 from balance_cli.calibration.terms import Term, all_terms
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.io.errors import UserError
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE
 
 Array = NDArray[np.float64]
 
 REQUIRED = (COMPONENT, UNIT, FULL_RANGE, SMALLEST, LARGEST, CHANNEL, ZERO, RESIDUAL, DOF)
 HEADER = (RIG, *REQUIRED)
-VOLT_ROWS = (ZERO, RESIDUAL)
+READING_ROWS = (ZERO, RESIDUAL)
+READING_UNITS = (VOLTAGE, RATIO, NUMBER)
 CREDIBLE_LIMITS = {
     FULL_RANGE: (1e-6, 1e9),
     SMALLEST: (-1e9, 1e9),
@@ -53,6 +54,8 @@ CREDIBLE_LIMITS = {
 """Limits far beyond any balance: a number outside them has the wrong unit or a typing error."""
 MAX_READING = 1e6
 """Largest contribution of a term at the calibrated range [V]; beyond it the coefficient is a mistake."""
+LARGEST_COUNT = 1e10
+"""The same of a channel in counts, and its largest zero: converters have 32 bits at most."""
 MAX_LINEAR_CONDITION = 1e8
 """Condition of the linear part from which it does not determine the loads: half the digits of double precision."""
 MIN_EIGENVALUE = 1e-12
@@ -83,9 +86,11 @@ def read_matrix(text: str) -> ParsedMatrix:
         name: parse_numbers(header[name], components, CREDIBLE_LIMITS[name]) for name in (FULL_RANGE, SMALLEST, LARGEST)
     }
     _check_range(header[LARGEST], components, loads[SMALLEST], loads[LARGEST])
-    stated = {name: parse_numbers(header[name], channels, CREDIBLE_LIMITS[name]) for name in (ZERO, RESIDUAL, DOF)}
+    unit = _reading_unit(header)
+    limits = CREDIBLE_LIMITS | ({ZERO: (-LARGEST_COUNT, LARGEST_COUNT)} if unit == NUMBER else {})
+    stated = {name: parse_numbers(header[name], channels, limits[name]) for name in (ZERO, RESIDUAL, DOF)}
     _check_columns(terms[0], channels)
-    rows = _ordered_term_rows(terms[1:], components, terms[0].number)
+    rows = _ordered_term_rows(terms[1:], components, terms[0].number, unit)
     matrix = CalibrationMatrix(
         rig=_rig_name(header),
         components=components,
@@ -98,6 +103,7 @@ def read_matrix(text: str) -> ParsedMatrix:
         dof=stated[DOF],
         correlation=_correlation(header, channels),
         coefficients=np.array([parse_numbers(row, channels) for row in rows]).reshape(2 * k * (k + 2), c),
+        reading_unit=unit,
     )
     _check_magnitudes(rows, matrix)
     _check_conditioning(rows[0], matrix)
@@ -130,9 +136,18 @@ def _check_header(line: MatrixRow) -> None:
     """Raise UserError for an unknown name in the header or a wrong unit."""
     if line.name not in HEADER and not line.name.startswith(CORRELATION):
         raise line.error("is not a line of the header", f"{suggest_name(line.name, HEADER)}; comments begin with #")
-    expected = VOLT if line.name in VOLT_ROWS else ""
-    if line.unit != expected:
-        raise unit_error(line, expected)
+    if line.name in READING_ROWS and line.unit not in READING_UNITS:
+        raise unit_error(line, VOLTAGE)
+    if line.name not in READING_ROWS and line.unit:
+        raise unit_error(line, "")
+
+
+def _reading_unit(header: Mapping[str, MatrixRow]) -> str:
+    """The base unit of the readings, which zeros and residuals state."""
+    unit = header[ZERO].unit
+    if header[RESIDUAL].unit != unit:
+        raise unit_error(header[RESIDUAL], unit)
+    return unit
 
 
 # ---- header ----------------------------------------------------------------------------------------------------------
@@ -223,7 +238,7 @@ def _correlation(header: Mapping[str, MatrixRow], channels: tuple[str, ...]) -> 
 
 
 def _ordered_term_rows(
-    lines: Sequence[MatrixRow], components: tuple[str, ...], term_row_number: int
+    lines: Sequence[MatrixRow], components: tuple[str, ...], term_row_number: int, reading_unit: str
 ) -> list[MatrixRow]:
     """The rows of all terms in the order of `all_terms`."""
     terms = {term.name(components): term for term in all_terms(len(components))}
@@ -236,7 +251,7 @@ def _ordered_term_rows(
             raise line.error("is not a term of these components", suggest_name(line.name, tuple(terms)))
         if name in rows:
             raise line.error(f"is there twice, first in line {rows[name].number}", "Keep one of them")
-        _check_unit(line, terms[name], components)
+        _check_unit(line, terms[name], components, reading_unit)
         rows[name] = line
     for name in terms:
         if name not in rows:
@@ -251,8 +266,8 @@ def _remove_spaces(text: str) -> str:
     return "".join(text.split())
 
 
-def _check_unit(line: MatrixRow, term: Term, components: tuple[str, ...]) -> None:
-    expected = term_unit(term, components)
+def _check_unit(line: MatrixRow, term: Term, components: tuple[str, ...], reading_unit: str) -> None:
+    expected = term_unit(term, components, reading_unit)
     if _remove_spaces(line.unit) != _remove_spaces(expected):
         raise unit_error(line, expected)
 
@@ -260,10 +275,11 @@ def _check_unit(line: MatrixRow, term: Term, components: tuple[str, ...]) -> Non
 def _check_magnitudes(lines: Sequence[MatrixRow], matrix: CalibrationMatrix) -> None:
     """Raise UserError for a coefficient whose contribution at the calibrated range is not credible."""
     at_calibrated_range = terms_at_calibrated_range(matrix.calibrated_range)
+    largest = LARGEST_COUNT if matrix.reading_unit == NUMBER else MAX_READING
     for line, coefficients, load in zip(lines, matrix.coefficients, at_calibrated_range, strict=True):
         for name, value in zip(matrix.channel_names, coefficients, strict=True):
-            if abs(value) > MAX_READING / load:
-                fault = f"{value:g} contributes more than {MAX_READING:g} V at the calibrated range"
+            if abs(value) > largest / load:
+                fault = f"{value:g} contributes more than {largest:g} {matrix.reading_unit} at the calibrated range"
                 raise line.error(fault, "Correct the number or its unit", name)
 
 

@@ -29,7 +29,6 @@ FULL_RANGE, SMALLEST, LARGEST = "full range", "smallest load", "largest load"
 CHANNEL, ZERO, RESIDUAL, DOF = "channel", "zero", "residual standard deviation", "degrees of freedom"
 CORRELATION = "correlation with "
 TERM = "term"
-VOLT = "V"
 
 NamedValues = tuple[str, str, Sequence[str | float]]
 
@@ -81,12 +80,12 @@ def _named_values(matrix: CalibrationMatrix) -> Iterator[NamedValues]:
     ):
         yield name, "", loads.tolist()
     yield CHANNEL, "", matrix.channel_names
-    yield ZERO, VOLT, matrix.zeros.tolist()
-    yield RESIDUAL, VOLT, matrix.residual_sigma.tolist()
+    yield ZERO, matrix.reading_unit, matrix.zeros.tolist()
+    yield RESIDUAL, matrix.reading_unit, matrix.residual_sigma.tolist()
     yield DOF, "", matrix.dof.tolist()
     if np.any(matrix.correlation != np.eye(len(matrix.channel_names))):
         for name, row in zip(matrix.channel_names, matrix.correlation.tolist(), strict=True):
             yield CORRELATION + name, "", row
     yield TERM, UNIT, matrix.channel_names
     for term, coefficients in zip(all_terms(len(matrix.components)), matrix.coefficients.tolist(), strict=True):
-        yield term.name(matrix.components), term_unit(term, matrix.components), coefficients
+        yield term.name(matrix.components), term_unit(term, matrix.components, matrix.reading_unit), coefficients

@@ -47,12 +47,12 @@ def matrix_file_text(result: Calibration, path: Path) -> str:
         fault = "there is no matrix: the trims have too few channels in common, or other loads were applied"
         raise UserError(fault, str(path), remedy="Repair the channels, apply the carried loads, or leave --matrix out")
     units = {channel.name: channel.reading_unit for channel in result.geometry.channels}
-    others = [name for name in result.all_trims.model.channel_names if units[name] != "V"]
-    if others or not load_components(result.geometry).are_hub_loads:
-        what = f"channels in {units[others[0]]}" if others else "components of their own names"
-        fault = f"such a matrix has channels in V and the loads Fx to Mz, but the calibration has {what}"
+    readings = sorted({units[name] for name in result.all_trims.model.channel_names})
+    if len(readings) > 1 or not load_components(result.geometry).are_hub_loads:
+        what = f"channels in {' and '.join(readings)}" if len(readings) > 1 else "components of their own names"
+        fault = f"such a matrix has channels in one unit and the loads Fx to Mz, but the calibration has {what}"
         raise UserError(fault, str(path), remedy="Write the linear part with --linear-matrix")
-    matrix = matrix_from_model(result.all_trims.model, result.geometry.rig)
+    matrix = matrix_from_model(result.all_trims.model, result.geometry.rig, readings[0])
     return matrix_csv(matrix) if path.suffix == ".csv" else matrix_text(matrix)
 
 

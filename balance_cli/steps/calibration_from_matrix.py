@@ -14,7 +14,7 @@ from balance_cli.calibration.check_loads import CheckModels, evaluate_check_load
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.matrix import model_from_matrix
 from balance_cli.calibration.matrix_reader import ParsedMatrix
-from balance_cli.calibration.matrix_text import CHANNEL, COMPONENT, RIG
+from balance_cli.calibration.matrix_text import CHANNEL, COMPONENT, RIG, ZERO
 from balance_cli.calibration.noise import CalibrationNoise
 from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration, with_rated_loads
 from balance_cli.calibration.static_matrices import inverse_matrix
@@ -72,7 +72,13 @@ def _check_components(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
 
 def _check_channels(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
     constant = [channel.name for channel in geometry.channels if channel.measures_dc]
-    for name in parsed_matrix.matrix.channel_names:
+    matrix = parsed_matrix.matrix
+    units = {channel.name: channel.reading_unit for channel in geometry.channels}
+    for name in matrix.channel_names:
+        if name in constant and units[name] != matrix.reading_unit:
+            fault = f"has readings in {matrix.reading_unit}, but the geometry declares `{name}` in {units[name]}"
+            remedy = "Declare the `unit` of the channels as the matrix has it, or convert the matrix"
+            raise _row_error(parsed_matrix, ZERO, fault, remedy)
         if name in constant:
             continue
         fault = f"`{name[:60]}` is not a strain or torque channel of the geometry `{geometry.name}`"

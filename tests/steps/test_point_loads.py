@@ -201,14 +201,23 @@ def test_summary_and_bad_calls(calibrated: Path) -> None:
         assert fault in done.output
 
 
-def test_other_commands_refuse_components_of_other_names(calibrated: Path) -> None:
-    """A matrix with all terms has readings in V: mV/V would be taken for volts."""
-    g, table = ("-g", str(calibrated / "g.yaml")), str(calibrated / "cal.csv")
-    words = ["calibrate", *g, table, "--matrix", str(calibrated / "m.csv"), "-o", str(calibrated / "x.h5")]
-    done = CliRunner().invoke(balance, words)
-    assert done.exit_code == 2
-    assert "but the calibration has channels in V/V. Write the linear part with --linear-matrix" in done.output
-    assert not (calibrated / "m.csv").exists()
+def test_a_matrix_of_readings_per_supply_gives_the_same_loads(calibrated: Path) -> None:
+    """It states that its readings are in V/V: taken for volts, loads would be off by the supply."""
+    rng, g, matrix = np.random.default_rng(9), calibrated / "g.yaml", calibrated / "m.csv"
+    call(
+        "calibrate", "-g", g, calibrated / "cal.csv", "--terms", "linear", "--matrix", matrix, "-o", calibrated / "x.h5"
+    )
+    call("calibrate", "-g", g, "--from-matrix", matrix, "-o", calibrated / "read.h5")
+    assert "V/V" in matrix.read_text()
+    loads = np.vstack([np.zeros(3), rng.uniform(-0.5, 0.5, (8, 3)) * FULL])
+    table = write_table(calibrated / "m-points.csv", loads, rng)
+    found = []
+    for calibration in ("x.h5", "read.h5"):
+        call("apply", calibrated / calibration, table, "-o", calibrated / "m-loads.csv")
+        found.append(pd.read_csv(calibrated / "m-loads.csv"))
+    for name, unit in zip(NAMES, UNITS, strict=True):
+        one, other = (each[f"{name} [{unit}]"] for each in found)
+        np.testing.assert_allclose(other, one, atol=1e-6 * np.ptp(one))
 
 
 def test_an_unloaded_row_between_two_series_may_belong_to_either():
