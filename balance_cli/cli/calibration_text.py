@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from balance_cli.calibration.contradicted_block import UNDECIDED
 from balance_cli.calibration.load_schedule import components_of_one_series
 from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION as MAX_INFLATION
 from balance_cli.campaign.rig.load_components import full_scale
@@ -42,12 +43,14 @@ def calibration_text(calibration: Calibration) -> Iterator[str]:
 
 def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
     """Warnings about excluded rows and load series, swapped channels, and an iteration that may not converge."""
+    undecided = [note for note in all_trims.screening_notes if note.endswith(UNDECIDED)]
+    yield from undecided  # what single rows and series deviate by follows from it
     for _, channels in groupby(all_trims.suspect_series, key=lambda suspect: suspect.load_series):
         yield _suspect_series_text(list(channels))
     yield from (outlier_text(outlier) for outlier in all_trims.outliers)
     for pair in all_trims.swapped_channels:
         yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
-    yield from all_trims.screening_notes
+    yield from (note for note in all_trims.screening_notes if note not in undecided)
     yield from _missing_terms(all_trims)
     if not all_trims.loads_model.contraction().is_proved:
         yield "the load iteration is not proved to converge over the calibrated range; reduce refuses this model"

@@ -1,5 +1,7 @@
 """Rows in the midst of a load series, or half of all series, that the others contradict."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.large_residual import describe_large_residuals, large_residuals
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.cli.calibration_text import math_model_warnings
 
 ROWS = 80
 
@@ -92,7 +95,9 @@ def test_halves_that_contradict_each_other_are_named_and_none_is_excluded():
     assert note.startswith(
         "stand rows 1 to 40 (Fx, Fy, Fz, Mx, My, Mz): its loads seem to be 2 times as large as stated"
     )
-    assert whole.used.all()
+    assert whole.used.all() and next(math_model_warnings(whole)) == note
+    many = replace(whole, screening_notes=("a row is left out", *whole.screening_notes))
+    assert next(math_model_warnings(many)) == note and sum(each == note for each in math_model_warnings(many)) == 1
     large = large_residuals(whole)
     assert {each.component for each in large} == set(COMPONENTS) and large[0].percent > 10.0
     assert describe_large_residuals(large).startswith("the calibration does not describe its own loads: ")
