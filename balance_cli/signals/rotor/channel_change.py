@@ -186,17 +186,26 @@ def _disturbed_channel(values: ComplexArray, sensors: Integers, sigma: Array) ->
     return None
 
 
-def harmonic_drift(values: ComplexArray, reported: ComplexArray, sigma: Array, mean_changes: bool = False) -> Array:
+def harmonic_drift(
+    values: ComplexArray,
+    reported: ComplexArray,
+    sigma: Array,
+    mean_changes: bool = False,
+    azimuth_error: float = 0.0,
+) -> Array:
     """Return by how much changes within a record make its harmonic loads `reported` (n, m) uncertain, (n, m).
 
     `values` (w, n, m) are the loads of windows, `sigma` (n, m) the standard deviations, below which an effect is left
-    out. `mean_changes`: whether a mean load is known to step or drift, so that less has to be shown.
+    out. `mean_changes`: whether a mean load is known to step or drift, so that less has to be shown. `azimuth_error`
+    [rad] is that of smoothed pulses, which turns all harmonics slowly, and which sigma contains.
     """
     if len(values) < FEWEST_WINDOWS or not values.size:
         return np.zeros(sigma.shape)
     remainder = step_remainder(values, reported, 1.0 if mean_changes else BEYOND_CHANCE)
     order = np.arange(1, values.shape[1] + 1)[:, None]
-    common = np.hypot(common_drift(values), order * common_turn_drift(values))
+    turn = common_turn_drift(values)
+    turn *= turn > BEYOND_CHANCE * azimuth_error
+    common = np.hypot(common_drift(values), order * turn)
     error = np.hypot(common * np.abs(reported), remainder)
     return np.where(error > sigma, error, 0.0)
 
