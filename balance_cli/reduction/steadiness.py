@@ -119,8 +119,7 @@ def examine_steadiness(
     is_unsteady[1:] = unsteady(within, _least_change(sigma, within), correlation)[1:]
     note = _change_of_all(within, windows, start, lambda window: first + window * duration, record, geometry)
     whole = _reported(within[:, 1:], windows, reported)
-    of_azimuth = record.azimuth.local_error
-    error = harmonic_drift(within[:, 1:], whole, sigma[1:], bool(mean_change.any()), of_azimuth)
+    error = harmonic_drift(within[:, 1:], whole, sigma[1:], bool(mean_change.any()))
     slow = slow_changes(record, geometry, source, within[:, 1:], sigma[1:], constant_response)
     is_unsteady[1:] |= slow.material
     return Steadiness(is_unsteady | bool(note), note, mean_change, np.maximum(error, slow.error), slow.note)

@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.reduction.model_sources import model_source
-from balance_cli.signals.rotor.channel_change import common_drift, common_turn_drift, harmonic_drift
+from balance_cli.signals.rotor.channel_change import common_drift, harmonic_drift
 from balance_cli.steps.reduce import reduce_run
 
 WINDOWS, NOISE = 40, 0.03
@@ -36,19 +36,6 @@ def test_steady_loads_have_no_error_of_a_change():
     for _ in range(200):
         values = windows(rng)
         assert not harmonic_drift(values, values.mean(axis=0), sigma).any()
-
-
-@pytest.mark.parametrize("turn", [0.02, 0.05])
-def test_half_of_a_common_turn_is_uncertain(turn):
-    """Pulses that drift by 1 deg against the samples had left loads 10 sigma off without a flag."""
-    rng, order = np.random.default_rng(6), np.arange(1, 9)[:, None]
-    angle = turn * np.linspace(-0.5, 0.5, WINDOWS)[:, None, None]
-    for _ in range(10):
-        values = windows(rng) * np.exp(1j * order * angle)
-        assert common_turn_drift(values) == pytest.approx(0.44 * turn, rel=0.25)
-        error = harmonic_drift(values, values.mean(axis=0), np.full((8, 6), NOISE / np.sqrt(WINDOWS)))
-        np.testing.assert_allclose(error[-1], 8 * 0.44 * turn, rtol=0.3)
-    assert not any(common_turn_drift(windows(rng)) for _ in range(200))
 
 
 def test_few_loads_tell_no_common_change():

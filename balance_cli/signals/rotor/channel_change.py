@@ -186,27 +186,16 @@ def _disturbed_channel(values: ComplexArray, sensors: Integers, sigma: Array) ->
     return None
 
 
-def harmonic_drift(
-    values: ComplexArray,
-    reported: ComplexArray,
-    sigma: Array,
-    mean_changes: bool = False,
-    azimuth_error: float = 0.0,
-) -> Array:
+def harmonic_drift(values: ComplexArray, reported: ComplexArray, sigma: Array, mean_changes: bool = False) -> Array:
     """Return by how much changes within a record make its harmonic loads `reported` (n, m) uncertain, (n, m).
 
     `values` (w, n, m) are the loads of windows, `sigma` (n, m) the standard deviations, below which an effect is left
-    out. `mean_changes`: whether a mean load is known to step or drift, so that less has to be shown. `azimuth_error`
-    [rad] is that of smoothed pulses, which turns all harmonics slowly, and which sigma contains.
+    out. `mean_changes`: whether a mean load is known to step or drift, so that less has to be shown.
     """
     if len(values) < FEWEST_WINDOWS or not values.size:
         return np.zeros(sigma.shape)
     remainder = step_remainder(values, reported, 1.0 if mean_changes else BEYOND_CHANCE)
-    order = np.arange(1, values.shape[1] + 1)[:, None]
-    turn = common_turn_drift(values)
-    turn *= turn > BEYOND_CHANCE * azimuth_error
-    common = np.hypot(common_drift(values), order * turn)
-    error = np.hypot(common * np.abs(reported), remainder)
+    error = np.hypot(common_drift(values) * np.abs(reported), remainder)
     return np.where(error > sigma, error, 0.0)
 
 
@@ -230,27 +219,6 @@ def common_drift(values: ComplexArray) -> float:
         return 0.0
     changes = relative_changes(values.reshape(len(values), -1, 1))
     return _half_change(changes.series[:, 0, 0], float(changes.scatter[0, 0]))
-
-
-def common_turn_drift(values: ComplexArray) -> float:
-    """Return half of the turn [rad] by which harmonic n of all loads of windows (w, n, m) turns n times; 0 as above.
-
-    The pulses and the samples of a record then have clocks of their own, or the mark on the rotor moves.
-    """
-    if values[0].size < FEWEST_HARMONICS:
-        return 0.0
-    order, size = np.arange(1.0, values.shape[1] + 1)[:, None], values.mean(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(size != 0.0, values / size, 1.0)
-        scatter = np.maximum(window_scatter(values.real), window_scatter(values.imag))
-        precision = np.where(scatter > 0.0, np.abs(order * size) ** 2 / scatter**2, 0.0)
-    weight = np.minimum(precision, np.sort(precision, axis=None)[-FEWEST_HARMONICS])
-    if not weight.any():
-        return 0.0
-    turn = (weight / order * ratio.imag).sum(axis=(1, 2)) / weight.sum()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        known = np.where(precision > 0.0, weight**2 / precision, 0.0).sum()
-    return _half_change(turn, float(np.sqrt(known)) / float(weight.sum()))
 
 
 def _half_change(series: Array, scatter: float) -> float:
