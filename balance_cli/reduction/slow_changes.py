@@ -29,6 +29,9 @@ MATERIAL_SHARE_OF_HARMONIC = 0.5
 """The same for the amplitude of a harmonic, which follows the rotor speed and gusts much more than the mean does."""
 MATERIAL_SHARE_OF_LARGEST = 0.1
 """A harmonic below this share of the largest one of its component is too small for its drift to matter."""
+SMALL_LOAD = 0.02
+"""Of the largest harmonic of a component with the same unit: one that carries less counts as that large. What changes
+in a component without loads is noise of others, and in sigma."""
 TINY = float(np.finfo(float).tiny)
 """Least divisor: a component without loads has no change that matters."""
 
@@ -65,8 +68,16 @@ def slow_changes(
     values = window_harmonic_loads(windows, record, geometry, source, constant_response)
     error = slow_change_error(values, sigma, dof)
     size = np.abs(np.concatenate([np.zeros((1, sigma.shape[1])), np.abs(values.mean(axis=0))]))
+    size = _at_least_small(size, record.components)
     share = MATERIAL_CHANGE * error / np.maximum(material_change(size)[1:], TINY)
     return SlowChanges(error, share > 1.0, _describe(error, share, record.components))
+
+
+def _at_least_small(size: Array, components: tuple[str, ...]) -> Array:
+    """Return the size (n+1, m) of loads, at least SMALL_LOAD of the largest harmonic of the components of one unit."""
+    units = [UNIT_OF[name] for name in components]
+    largest = [max(size[1:, m].max() for m, other in enumerate(units) if other == unit) for unit in units]
+    return np.maximum(size, SMALL_LOAD * np.array(largest))
 
 
 def _describe(error: Array, share: Array, components: tuple[str, ...]) -> str:
