@@ -156,6 +156,17 @@ class ExclusionSettings:
 
 
 @dataclass(frozen=True)
+class UnidentifiableSettings:
+    """Parameters of effects that the data do not determine."""
+
+    known_to: float = 2.0
+    """Distance of a parameter from its null over its standard deviation, from which the data determine it."""
+    largest_sigma: float = 100.0
+    """Of the size of a change of a parameter that matters (its scale): one that is known to be small is determined. Of
+    a support it is ten times the mass of what moves on it."""
+
+
+@dataclass(frozen=True)
 class DataTestSettings:
     """All tests of the data."""
 
@@ -169,4 +180,5 @@ class DataTestSettings:
     mains: MainsDetectionSettings = field(default_factory=MainsDetectionSettings)
     zero_drift: ZeroDriftSettings = field(default_factory=ZeroDriftSettings)
     common_load_gain: CommonLoadGainSettings = field(default_factory=CommonLoadGainSettings)
+    unidentifiable: UnidentifiableSettings = field(default_factory=UnidentifiableSettings)
     exclusions: ExclusionSettings = field(default_factory=ExclusionSettings)

@@ -10,22 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from balance_cli.diagnosis.data_test_settings import UnidentifiableSettings
 from balance_cli.diagnosis.result import EXPLAINED, PARTLY_EXPLAINED, Diagnosis, FoundEffect
 from balance_cli.model.fitted_effects import FittedParameter
 from balance_cli.model.placed_effects import place_effect
 
-KNOWN_TO = 2.0
-"""Distance of a parameter from its null over its standard deviation, from which the data determine it."""
-LARGEST_SIGMA = 100.0
-"""Of the size of a change of a parameter that matters (its scale): one that is known to be small is determined. Of a
-support it is ten times the mass of what moves on it."""
 
-
-def judge_unidentifiable_effects(diagnosis: Diagnosis) -> Diagnosis:
+def judge_unidentifiable_effects(diagnosis: Diagnosis, settings: UnidentifiableSettings) -> Diagnosis:
     """Return the diagnosis, explained in part where an effect has a parameter that the data do not determine."""
     notes = []
     for effect in diagnosis.effects:
-        names = unidentifiable_parameters(effect, diagnosis)
+        names = unidentifiable_parameters(effect, diagnosis, settings)
         if names and not effect.is_of_no_consequence:
             values = ", ".join(f"{item.name} {item.value:.2g} +- {item.sigma:.2g} {item.unit}" for item in names)
             notes.append(
@@ -39,10 +34,13 @@ def judge_unidentifiable_effects(diagnosis: Diagnosis) -> Diagnosis:
     return replace(diagnosis, notes=(*diagnosis.notes, *notes), verdict=verdict)
 
 
-def unidentifiable_parameters(effect: FoundEffect, diagnosis: Diagnosis) -> tuple[FittedParameter, ...]:
+def unidentifiable_parameters(
+    effect: FoundEffect, diagnosis: Diagnosis, settings: UnidentifiableSettings
+) -> tuple[FittedParameter, ...]:
     """Return the parameters of an effect that may be anything from nothing to far beyond the size of the rig.
 
-    Not judged are parameters of which the reciprocal is fitted, which are infinite where they are nothing.
+    Not judged are parameters of which the reciprocal is fitted, which are infinite where they are nothing, and those
+    that are not zero without the effect, as the stiffness of a contact: one that slips all the time does not tell it.
     """
     where = effect.where if effect.choice is None else (*effect.where, effect.choice[1])
     placed = place_effect(effect.name, where, diagnosis.geometry)
@@ -50,9 +48,10 @@ def unidentifiable_parameters(effect: FoundEffect, diagnosis: Diagnosis) -> tupl
     unidentifiable = []
     for item in effect.parameters:
         parameter = known.get(item.name)
-        if parameter is None or parameter.reciprocal or item.interval is not None:
+        if parameter is None or parameter.null != 0.0 or parameter.reciprocal or item.interval is not None:
             continue
         sigma = item.sigma if np.isfinite(item.sigma) else 0.0
-        if sigma > LARGEST_SIGMA * parameter.scale and abs(item.value - parameter.null) < KNOWN_TO * sigma:
+        is_wide = sigma > settings.largest_sigma * parameter.scale
+        if is_wide and abs(item.value - parameter.null) < settings.known_to * sigma:
             unidentifiable.append(item)
     return tuple(unidentifiable)

@@ -97,7 +97,7 @@ def diagnose(
     drift = share_with_forces(zeros.drift, fit.system(), measured, settings.data_tests)
     diagnosis = _note_time_limit(judge_zero_drift(judge_drifts(diagnosis), drift), announce, settings)
     diagnosis, updated = judge_common_load_gain(diagnosis, updated, spectra, settings.data_tests.common_load_gain)
-    diagnosis = judge_unidentifiable_effects(judge_number_of_causes(diagnosis))
+    diagnosis = judge_unidentifiable_effects(judge_number_of_causes(diagnosis), settings.data_tests.unidentifiable)
     announce("done")
     return judge_common_delay(diagnosis, updated, swept_components(batches))
 
