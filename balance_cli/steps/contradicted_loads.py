@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, ConsistencyFinding
-from balance_cli.diagnosis.consistency.severity import contradicts_loads
+from balance_cli.diagnosis.consistency.severity import contradicts_loads, leaves_loads_untested
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_contradiction import flag_by_check_runs
-from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.flags import MODEL_CONTRADICTED, UNTESTED
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
@@ -43,7 +43,8 @@ def flag_contradicted_runs(
     """Return the loads with those of runs flagged that contradict the geometry or the other runs.
 
     A factor of channels that all runs have is known to the calibration and the model, and changes no load. Where a trim
-    contradicts the response, the runs whose mean loads rest on it, or on all trims, are flagged.
+    contradicts the response, the runs whose mean loads rest on it, or on all trims, are flagged. More noise in all
+    channels contradicts nothing: the residual test contains the noise of the run, and a factor of all is untested.
     """
     findings = tuple(findings)
     flagged: ChainMap[str, RunLoads] = ChainMap({}, runs)  # type: ignore[arg-type]  # which is only read
@@ -92,4 +93,5 @@ def _compare_with_each_other(runs: Mapping[str, RunLoads]) -> tuple[Mapping[str,
 
 
 def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:
-    return loads.with_flag(MODEL_CONTRADICTED, finding.sentence)
+    flag = UNTESTED if leaves_loads_untested(finding.kind, finding.factor) else MODEL_CONTRADICTED
+    return loads.with_flag(flag, finding.sentence)

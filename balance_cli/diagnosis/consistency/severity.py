@@ -16,6 +16,9 @@ ConsequenceRule = Callable[[ConsistencyFinding], bool]
 
 LOAD_KINDS = (kinds.REVERSED_LOAD, kinds.EXCHANGED_LOADS, kinds.LOAD_FACTOR)
 FACTOR_KINDS = (kinds.CHANNEL_FACTOR, kinds.CHANNELS_FACTOR)
+MOST_NOISE = 30.0
+"""Noise of all channels over that of the sweeps from which it is another unit: volts in mV have 1000 times as much, and
+noise of drive and flow was at most 8 times that of sound sweeps. Gains of amplifiers lie below, as that noise does."""
 LARGE_FACTOR = 2.0
 """Factor from which a channel is named as wrong by `check`: no effect of a rig changes a channel so much in one run."""
 
@@ -57,6 +60,14 @@ def contradicts_loads(kind: str, in_all_runs: bool, factor: float | None = None)
     if kind in FACTOR_KINDS and not in_all_runs and factor:
         return not 1.0 / LARGE_FACTOR <= abs(factor) <= LARGE_FACTOR
     return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION, kinds.NOISE_LEVEL, kinds.DELAY)
+
+
+def leaves_loads_untested(kind: str, factor: float | None) -> bool:
+    """Whether a warning says no more than that a factor of all channels is possible, which nothing tests.
+
+    Noise of drive or flow is more than that of the sweeps and changes no load; noise that is less has another cause.
+    """
+    return kind == kinds.NOISE_LEVEL and factor is not None and 1.0 < factor < MOST_NOISE
 
 
 def findings_for_command(
