@@ -23,6 +23,8 @@ RESULTS ?= results
 
 # Many small matrices: threads in BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
+# Containers forbid to keep compiled sources: each worker and each command that a test starts would compile all of them.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run chain install test lint format bench study docs figures clean
 .DELETE_ON_ERROR:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.integrate import ModalSystem, hold_weights
 from balance_cli.simulation.mechanics import NonlinearCellForce
+from balance_cli.simulation.single_force import Correct, ForceBlocks, integrate_blocks
 
 Array = NDArray[np.float64]
 
@@ -234,11 +235,14 @@ def integrate_nonlinear_forces(
     """
     stepper = _Stepper.from_system(system, step)
     m, size = stepper.ahead.shape
-    correct = _single_corrector if m == 1 and len(start.force) <= MOST_SINGLE_RUNS else _corrector
-    next_forces = correct(forces, start, stepper.reach)
     state = np.hstack([_equilibrium_states(system, start.force), start.force, start.force, start.force])
     result = np.empty((len(linear), *start.force.shape))
     result[0] = start.force
+    if m == 1 and len(start.force) <= MOST_SINGLE_RUNS:
+        blocks = ForceBlocks.from_step(stepper.step, stepper.ahead, size)
+        result[1:, :, 0] = integrate_blocks(blocks, state, linear[1:], _single_correctors(forces, start, stepper.reach))
+        return result
+    next_forces = _corrector(forces, start, stepper.reach)
     for k in range(1, len(linear)):
         ahead = np.dot(state, stepper.step)
         result[k] = force = next_forces(ahead[:, size:] + linear[k])
@@ -266,24 +270,27 @@ def _corrector(forces: NonlinearForces, start: RestState, reach: Array) -> Calla
     return next_forces
 
 
-def _single_corrector(forces: NonlinearForces, start: RestState, reach: Array) -> Callable[[Array], Array]:
-    """The same for few runs of one force: numbers take a fraction of the time of arrays that are so small."""
+def _single_correctors(forces: NonlinearForces, start: RestState, reach: Array) -> list[Correct]:
+    """For each of few runs of one force the same function, of its elongation and rate."""
     law, stick, slips = forces.single(), forces.stick_stiffness.item(), bool(np.any(forces.limit))
-    (least, largest), total = law.contact_limits, law.total
+    total: Callable[..., Any] = law.total
+    limits: tuple[Any, Any] = law.contact_limits
+    least, largest = limits
     of_elongation, of_rate = [*reach[0].tolist(), 0.0][:2]
-    states = np.hstack([start.elongation, start.contact, start.force]).tolist()
 
-    def next_forces(base: Array) -> Array:
-        for state, (free, *rates) in zip(states, base.tolist(), strict=True):
-            d, held, force = state
-            stuck, rate = held - stick * d, rates[0] if rates else 0.0
+    def corrector(d: float, held: float, force: float) -> Correct:
+        def next_force(free: float, rate: float) -> float:
+            nonlocal d, held, force
+            stuck = held - stick * d
             for _ in range(CORRECTOR_ITERATIONS):
                 d = free + force * of_elongation
                 if slips:
                     held = stuck + stick * d
                     held = least if held < least else largest if held > largest else held  # `slip`, without its calls
                 force = total(d, rate + force * of_rate, held)
-            state[:] = d, held, force
-        return np.array([[force] for _, _, force in states])
+            return force
 
-    return next_forces
+        return next_force
+
+    states = np.hstack([start.elongation, start.contact, start.force]).tolist()
+    return [corrector(*state) for state in states]

@@ -154,10 +154,12 @@ TRUTHS = {
     "free-play": truth("free-play", ("x",), plan=campaign(periods=8), stiffness=2e4, gap=2e-6),
     # The elongations at which a contact turns round are read with noise: its force is off by 0.1 to 1 %, depending on
     # the record. Its sigma, which knows of the noise on the lines alone, is 0.05 to 0.08 % here.
-    "dry-friction": truth("dry-friction", ("x",), plan=campaign(), force=0.5, stick_stiffness=1.5e6, bias=0.005),
+    "dry-friction": truth(
+        "dry-friction", ("x",), plan=campaign(periods=8), force=0.5, stick_stiffness=1.5e6, bias=0.005
+    ),
     "stribeck-friction": truth(
         *("stribeck-friction", ("x",)),
-        plan=campaign(),
+        plan=campaign(periods=8),
         force=0.4,
         static_force=0.8,
         speed=1e-3,
@@ -165,7 +167,13 @@ TRUTHS = {
         bias=0.005,
     ),
     "asymmetric-friction": truth(
-        "asymmetric-friction", ("x",), plan=campaign(), force=0.5, asymmetry=0.3, stick_stiffness=1.5e6, bias=0.005
+        "asymmetric-friction",
+        ("x",),
+        plan=campaign(periods=8),
+        force=0.5,
+        asymmetry=0.3,
+        stick_stiffness=1.5e6,
+        bias=0.005,
     ),
     "quadratic-damping": truth("quadratic-damping", ("x",), plan=together(), c2=1000.0),
     "asymmetric-damping": truth("asymmetric-damping", ("x",), plan=together(), difference=20.0),

@@ -118,6 +118,26 @@ def test_slipping_contact_against_general_integrator():
     assert np.max(np.abs(error)) < 1e-4 * np.max(np.abs(expected))
 
 
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("cubic-stiffness", {"k3": 1e14, "side": "beside"}),
+        ("dry-friction", {"force": 2.0, "stick_stiffness": 1e6}),
+        ("stribeck-friction", {"force": 2.0, "static_force": 4.0, "speed": 1e-3, "stick_stiffness": 1e6}),
+        ("quadratic-damping", {"c2": 1e5}),
+    ],
+)
+def test_blocks_of_steps_are_the_steps_one_by_one(monkeypatch, name, values):
+    """Of an elongation and of its rate, in records of two lengths; the reference is the way of many forces."""
+    rig = true_rig(GEOMETRY).with_extensions(extension(name, ("z1",), **values))
+    plan = CampaignPlan(runs=(PLAN, PLAN.model_copy(update={"run": "d", "duration": 0.401})))
+    in_blocks, _ = simulate_campaign(rig, plan, NO_NOISE)
+    monkeypatch.setattr("balance_cli.simulation.nonlinear.MOST_SINGLE_RUNS", 0)
+    step_by_step, _ = simulate_campaign(rig, plan, NO_NOISE)
+    for one, other in zip(in_blocks, step_by_step, strict=True):
+        np.testing.assert_allclose(one.read().channels, other.read().channels, rtol=0.0, atol=1e-11)
+
+
 def test_runs_together_are_the_runs_alone():
     rig = true_rig(GEOMETRY).with_extensions(
         extension("dry-friction", ("x",), force=2.0, stick_stiffness=1e6),
