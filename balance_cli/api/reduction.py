@@ -17,6 +17,7 @@ from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
 from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.assumed_filter import flag_assumed_filter
 from balance_cli.reduction.choices import MOST_HARMONICS, LoadModel
 from balance_cli.reduction.measured_response import TransferSource, transfer_source
 from balance_cli.reduction.model_sources import model_source
@@ -102,7 +103,7 @@ def reduce(
         _reduce_run(run, geometry, calibration, source, reference, replace(options, harmonics=counts[run.name]))
         for run in used
     ]
-    flagged = flag_contradicted_runs({run.run: run for run in loads}, findings)
+    flagged = flag_contradicted_runs(_flag_filters(loads, used, geometry, response), findings)
     reduced, compared = compare_loads(flagged, calibration)
     earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
     said = (*earlier, *_fewer(counts, geometry, harmonics), *filter(None, [loaded]), *compared)
@@ -159,6 +160,16 @@ def _warnings(
     yield from (f"{run.name}: {describe_gaps(run)}" for run in records if describe_gaps(run))
     for run in loads:
         yield from (f"{run.run}: channel {channel} left out: {reason}" for channel, reason in run.left_out.items())
+
+
+def _flag_filters(
+    loads: Sequence[RunLoads], runs: Sequence[Run], geometry: Geometry, response: Response
+) -> dict[str, RunLoads]:
+    """Return the loads by run, flagged where the sample rate does not go with the declared filter."""
+    rates = [item.sample_rate for item in _noise_of_sweeps(response)]
+    return {
+        run.name: flag_assumed_filter(of_run, run, geometry, rates) for of_run, run in zip(loads, runs, strict=True)
+    }
 
 
 def _noise_of_sweeps(response: Response) -> tuple[UsualNoise, ...]:

@@ -118,11 +118,17 @@ class Reduction:
 
     def reduce_run(self, run: Run, history_file: Path | None = None) -> RunLoads:
         """Reduce one run and write its history, if a file is given. UserError where it cannot be reduced."""
+        from balance_cli.reduction.assumed_filter import flag_assumed_filter
+
         with ExitStack() as stack:
             history = _HistoryWriter(stack, history_file, run.name, self.calibration is not None)
-            if self.method.in_time:
-                return self._reduce_in_time(run, history)
-            return self._reduce_tones(run) if self.method.frequencies else self._reduce_harmonics(run, history)
+            loads = self._reduce_by_method(run, history)
+        return flag_assumed_filter(loads, run, self.geometry, [item.sample_rate for item in self.usual_noise])
+
+    def _reduce_by_method(self, run: Run, history: _HistoryWriter) -> RunLoads:
+        if self.method.in_time:
+            return self._reduce_in_time(run, history)
+        return self._reduce_tones(run) if self.method.frequencies else self._reduce_harmonics(run, history)
 
     def _reduce_tones(self, run: Run) -> RunLoads:
         from balance_cli.steps.reduce_frequencies import reduce_run_at_frequencies

@@ -54,7 +54,7 @@ class RunNoise:
 class UsualNoise:
     """Noise that runs with known loads at one sample rate [Hz] have in common: root of the density [V/sqrt(Hz)].
 
-    `amplitude` (c,) is NaN for a channel without a common level.
+    `amplitude` (c,) is NaN for a channel without a common level, which may be all of them.
     """
 
     sample_rate: float
@@ -105,28 +105,33 @@ def _between_harmonics(run: Run, count: int, bins: NDArray[np.int64]) -> NDArray
 
 
 def usual_noise(levels: Iterable[RunNoise | None], channel_names: tuple[str, ...]) -> tuple[UsualNoise, ...]:
-    """Return the noise that the runs with known loads have in common, for each sample rate at which they have one."""
+    """Return the noise that the runs with known loads have in common, for each sample rate at which there are any."""
     by_rate: dict[float, list[Array]] = {}
     for level in levels:
-        if level is not None and level.kind in KINDS_WITH_KNOWN_LOADS and level.independent:
-            by_rate.setdefault(level.sample_rate, []).append(level.amplitude)
-    common = {rate: _common_level(amplitudes) for rate, amplitudes in sorted(by_rate.items())}
-    return tuple(UsualNoise(rate, channel_names, level) for rate, level in common.items() if level is not None)
+        if level is not None and level.kind in KINDS_WITH_KNOWN_LOADS:
+            independent = by_rate.setdefault(level.sample_rate, [])
+            if level.independent:
+                independent.append(level.amplitude)
+    unknown = np.full(len(channel_names), np.nan)
+    return tuple(
+        UsualNoise(rate, channel_names, _common_level(amplitudes, unknown))
+        for rate, amplitudes in sorted(by_rate.items())
+    )
 
 
 def measure_usual_noise(runs: Iterable[Run], channel_names: tuple[str, ...]) -> tuple[UsualNoise, ...]:
-    """Return the noise that the sweeps among runs have in common, for each sample rate at which they have one."""
+    """Return the noise that the sweeps among runs have in common, for each sample rate at which there are any."""
     return usual_noise(
         (measure_nyquist_noise(run, channel_names) for run in runs if run.kind == "sweep"), channel_names
     )
 
 
-def _common_level(levels: Sequence[Array]) -> Array | None:
-    """Return the level (c,) that several runs have in common; None where they have none."""
+def _common_level(levels: Sequence[Array], unknown: Array) -> Array:
+    """Return the level (c,) that several runs have in common; `unknown` where they have none."""
     if len(levels) < 2:
-        return None
+        return unknown
     amplitudes = np.array(levels)
     known = np.isfinite(amplitudes).all(axis=0)
     if not known.any() or np.any(amplitudes[:, known].max(axis=0) > LARGEST_SPREAD * amplitudes[:, known].min(axis=0)):
-        return None
+        return unknown
     return np.where(known, np.median(amplitudes, axis=0), np.nan)

@@ -28,7 +28,7 @@ CALLS = {
     "check": (("check", "wind.h5"), 118),
     "sweep-tf": (("sweep-tf", "-g", "geometry.yaml", "sweep.h5", "-o", "tf.h5"), 153),
     "identify": (("identify", "-g", "geometry.yaml", "--method", "ls", "sweep.h5", "-o", "new.h5"), 233),
-    "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 248),
+    "reduce": (("reduce", *RESPONSE, "wind.h5", "-o", "loads.h5"), 249),
     "export": (("export", "made.h5", "-o", "made.csv"), 158),
 }
 """Words of each call, and the modules of the package that it may load beside the effects: a tenth more than it does."""

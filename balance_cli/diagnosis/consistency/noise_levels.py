@@ -63,7 +63,8 @@ def _unusual_ratios(
     levels: Sequence[RunNoise], channel_names: tuple[str, ...], stored: Sequence[UsualNoise]
 ) -> dict[str, float]:
     """Return by what all channels of wind runs have more or less noise than usual, of those where they have."""
-    usual = {item.sample_rate: item for item in (*usual_noise(levels, channel_names), *stored)}
+    known = (item for item in (*usual_noise(levels, channel_names), *stored) if np.isfinite(item.amplitude).any())
+    usual = {item.sample_rate: item for item in known}
     wind = [level for level in levels if level.kind == "wind" and level.sample_rate in usual]
     ratios = {level.run: _common_ratio(level, usual[level.sample_rate], channel_names) for level in wind}
     return {run: ratio for run, ratio in ratios.items() if ratio is not None}
