@@ -129,7 +129,12 @@ def _reduce_run(
     try:
         if isinstance(options, TimeOptions):
             return _reduce_in_time(run, geometry, calibration, source, zero, options)
-        return reduce_run(run, geometry, calibration, source, zero, options)
+        try:
+            return reduce_run(run, geometry, calibration, source, zero, options)
+        except UserError as error:
+            from balance_cli.steps.reduce_sound_part import reduce_sound_part
+
+            return reduce_sound_part(error, run, geometry, calibration, source, zero, options)
     except UserError as error:
         raise error.with_file_of(run.name, run.file) from error
 

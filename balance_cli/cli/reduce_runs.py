@@ -140,7 +140,13 @@ class Reduction:
         from balance_cli.steps.reduce import ReduceOptions, reduce_run
 
         options = ReduceOptions(self.method.harmonics, self.method.rotor)
-        loads = reduce_run(run, self.geometry, self.calibration, self.source, self.zero, options)
+        try:
+            loads = reduce_run(run, self.geometry, self.calibration, self.source, self.zero, options)
+        except UserError as error:
+            from balance_cli.steps.reduce_sound_part import reduce_sound_part
+
+            given = self.geometry, self.calibration, self.source, self.zero, options
+            loads = reduce_sound_part(error, run, *given)
         if history.is_enabled:
             from balance_cli.reduction.history_file import harmonic_history
             from balance_cli.signals.rotor.other_rotors import rotor_azimuth
