@@ -12,14 +12,22 @@ from hypothesis import HealthCheck, settings
 
 # Files with the longest tests, by time. Begun first, so that no worker ends on one of them alone.
 LONGEST_FILES = (
-    "tests/diagnosis/test_diagnosis.py",
     "tests/model/test_effects.py",
-    "tests/test_tutorial.py",
+    "tests/diagnosis/test_diagnosis.py",
     "tests/diagnosis/test_silverbox.py",
     "tests/diagnosis/test_nonlinear_effects.py",
-    "tests/cli/test_diagnose_command.py",
+    "tests/signals/local/test_models.py",
+    "tests/diagnosis/test_emps.py",
+    "tests/calibration/test_tares.py",
+    "tests/diagnosis/test_zero_drift.py",
     "tests/signals/local/test_tones.py",
+    "tests/steps/test_reduce_in_time.py",
+    "tests/test_tutorial.py",
     "tests/test_chain.py",
+    "tests/signals/test_single_force.py",
+    "tests/test_docs.py",
+    "tests/cli/test_diagnose_command.py",
+    "tests/test_readme.py",
     "studies/tests/test_blind.py",
 )
 

@@ -209,6 +209,9 @@ def summaries(tmp_path_factory):
     (folder / "hall.yaml").write_text(yaml.safe_dump({"format": "balance-hall/1", **hall}))
     names = ("static-bare", "sweep-Fz-high", "check-1", "wind-1")
     static, sweep, check, wind = (str(data / f"{name}.h5") for name in names)
+    (folder / "runs").mkdir()
+    for name in names:
+        (folder / "runs" / f"{name}.h5").symlink_to(data / f"{name}.h5")
     cal, out, model = (str(folder / name) for name in ("cal.h5", "out.h5", "model.h5"))
     (folder / "table.csv").write_text("a [V],Fz [N],t [s]\n" + "".join(f"{k % 7},{k % 5},{k / 8}\n" for k in range(99)))
     import_map = {
@@ -234,7 +237,7 @@ def summaries(tmp_path_factory):
         "simulate": [*g, "--plan", str(folder / "plan.yaml"), "-o", str(folder / "campaign")],
         "check": [static, str(ROOT / "pyproject.toml"), *g],
         "report": [cal, "-o", str(folder / "report.html")],
-        "run": [str(data), *g, "-o", str(folder / "results"), "--dry-run"],
+        "run": [str(folder / "runs"), *g, "-o", str(folder / "results"), "--dry-run"],
         "export": [out, "-o", str(folder / "loads.csv")],
         "watch": [str(folder / "campaign"), "--model", model, "-o", str(folder / "watched"), "--once"],
     }
