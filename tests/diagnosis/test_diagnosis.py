@@ -107,6 +107,22 @@ def lines_of(spectra):
     return stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
 
 
+def lines_and_fit(spectra):
+    """The lines and the model without effects fitted to them."""
+    batches = lines_of(spectra)
+    return batches, fit_all_lines(balance_model(RIG).at(), batches, SETTINGS.fit)
+
+
+@pytest.fixture(scope="module")
+def healthy_fit(healthy):
+    return lines_and_fit(healthy)
+
+
+@pytest.fixture(scope="module")
+def late_fit(late):
+    return lines_and_fit(late)
+
+
 # ---- score test ------------------------------------------------------------------------------------------------------
 
 
@@ -146,9 +162,8 @@ def test_gain_of_one_parameter_is_that_beside_one_without_information(s, bounds)
     assert (alone.directions, alone.step[0]) == (used, pytest.approx(step[0]))
 
 
-def test_a_score_is_what_a_refit_gains(late):
-    model, batches = balance_model(RIG), lines_of(late)
-    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
+def test_a_score_is_what_a_refit_gains(late_fit):
+    batches, fit = late_fit
     one = candidate_at("time-delay", ("z1.piezo",), RIG)
     (score,) = scores(fit, batches, [one], SETTINGS.score)
     wide = extend_model(fit, add_candidates(RIG, [(one, 0)]))
@@ -157,9 +172,8 @@ def test_a_score_is_what_a_refit_gains(late):
     assert score.gain == pytest.approx(gained, rel=0.02)
 
 
-def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
-    model, batches = balance_model(RIG), lines_of(late)
-    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
+def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late_fit):
+    batches, fit = late_fit
     found = score_in_two_stages(fit, batches, candidates(RIG), SETTINGS)
     found = sorted(found, key=lambda score: -score.gain)
     labels = [score.candidate.label for score in found[:2]]
@@ -231,25 +245,23 @@ def test_candidates_leave_out_what_the_rig_has():
 # ---- model error -----------------------------------------------------------------------------------------------------
 
 
-def test_no_model_error_where_nothing_is_wrong(healthy):
-    model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
-    shares = estimate_model_error(batches, model.system(fit.theta), sigma_limit=3.0)
+def test_no_model_error_where_nothing_is_wrong(healthy_fit):
+    batches, fit = healthy_fit
+    shares = estimate_model_error(batches, fit.model.system(fit.theta), sigma_limit=3.0)
     assert set(shares.values()) == {0.0}
     assert add_model_error(batches, shares) == batches
     assert log_determinant_inflation(batches, shares) == 0.0
 
 
-def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
+def test_model_error_is_about_as_large_as_what_is_wrong(healthy_fit):
     """All stiffnesses and masses as they are, every sensitivity of what is measured two per cent off by chance."""
-    model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fit_all_lines(model.at(), batches, SETTINGS.fit)
+    batches, fit = healthy_fit
     theta = fit.theta.copy()
     rng = np.random.default_rng(4)
-    for i, name in enumerate(model.parameters.names):
+    for i, name in enumerate(fit.model.parameters.names):
         if name.startswith("sensitivity."):
             theta[i] *= 1.0 + 0.02 * rng.standard_normal()
-    shares = estimate_model_error(batches, model.system(theta))
+    shares = estimate_model_error(batches, fit.model.system(theta))
     assert 0.005 < np.median(list(shares.values())) < 0.06
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import h5py
 import numpy as np
@@ -163,16 +164,28 @@ def test_an_artefact_keeps_what_the_report_needs(smoothed):
     np.testing.assert_array_equal(run.track.time, found["time"])
 
 
+@pytest.fixture(scope="module")
+def each_model(folder, tmp_path_factory):
+    """A function of method and load model: folder and result of their reduction, made once for all tests."""
+
+    @cache
+    def reduce(method, load_model):
+        out = tmp_path_factory.mktemp(f"{method}-{load_model}")
+        return out, reduced(folder, out, "--method", method, "--load-model", load_model)
+
+    return reduce
+
+
 @pytest.mark.parametrize("load_model", LOAD_MODELS)
 @pytest.mark.parametrize("method", ["kalman", "smoother"])
-def test_every_load_model(campaign, folder, tmp_path, method, load_model):
-    reduced(folder, tmp_path, "--method", method, "--load-model", load_model)
-    found = history(tmp_path)
+def test_every_load_model(campaign, each_model, method, load_model):
+    out, _ = each_model(method, load_model)
+    found = history(out)
     assert np.all(np.isfinite(found["loads"])) and np.all(found["sigma"] > 0)
     assert ("harmonics" in found) == (load_model == "harmonics")
     error, sigma, _ = error_of(campaign, "check-1", found)
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.0 * sigma.mean(axis=0))
-    run_summary = summary(tmp_path)
+    run_summary = summary(out)
     assert run_summary["load_model"] == load_model
     assert run_summary["lag_s"] == (0.05 if method == "kalman" else None)
 
@@ -186,19 +199,17 @@ def test_a_lag_makes_a_filter_surer(folder, tmp_path):
     assert np.all(late < now)
 
 
-def test_the_default_given_explicitly_is_the_same_reduction(folder, tmp_path):
-    for name, words in (("a", ()), ("b", ("--load-model", "harmonics"))):
-        reduced(folder, tmp_path / name, "--method", "smoother", *words)
-    first, second = (load_artefact(tmp_path / name / "loads.h5", FORMATS) for name in "ab")
+def test_the_default_given_explicitly_is_the_same_reduction(folder, each_model, tmp_path):
+    explicit, _ = each_model("smoother", "harmonics")
+    reduced(folder, tmp_path, "--method", "smoother")
+    first, second = (load_artefact(out / "loads.h5", FORMATS) for out in (explicit, tmp_path))
     assert first.digest == second.digest
 
 
-def test_the_former_name_of_the_load_model_is_the_same_reduction(folder, tmp_path):
-    results = [
-        reduced(folder, tmp_path / name, "--method", "smoother", option, "random")
-        for name, option in (("a", "--load-model"), ("b", "--loads-as"))
-    ]
-    first, second = (load_artefact(tmp_path / name / "loads.h5", FORMATS) for name in "ab")
+def test_the_former_name_of_the_load_model_is_the_same_reduction(folder, each_model, tmp_path):
+    usual, result = each_model("smoother", "random")
+    results = [result, reduced(folder, tmp_path, "--method", "smoother", "--loads-as", "random")]
+    first, second = (load_artefact(out / "loads.h5", FORMATS) for out in (usual, tmp_path))
     assert first.digest == second.digest and first.provenance.options["loads-as"] == "random"
     assert [result.stderr.count("--loads-as is deprecated; use --load-model") for result in results] == [0, 1]
 
