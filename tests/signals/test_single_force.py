@@ -44,7 +44,7 @@ def swept_at_a_point(
     seed: int = 1,
     position: Array = POSITION,
     direction: Array = DIRECTION,
-    samples: int = int(__import__("os").environ.get("NS", SAMPLES)),
+    samples: int = SAMPLES,
 ) -> Run:
     """Rig A, driven by a stinger beside the hub: six hub loads of one signal."""
     geometry, rng = other_rig("A"), np.random.default_rng(seed)
