@@ -222,7 +222,11 @@ def summaries(tmp_path_factory):
         "runs": [{"file": "*", "kind": "zero"}],
     }
     (folder / "map.yaml").write_text(yaml.safe_dump(import_map))
+    (folder / "frf.csv").write_text(
+        "\n".join(["f [Hz],re [V/N],im [V/N]", *(f"{k},1.{k % 7},-0.{k % 5}" for k in range(99))])
+    )
     calls = {
+        "import-frf": ["--sketch", str(folder / "frf.csv")],
         "import": [str(folder / "map.yaml"), str(folder / "table.csv"), "-o", str(folder / "imported")],
         "calibrate": [*g, static, "-o", cal],
         "apply": [cal, static, "--zero", "first", "-o", str(folder / "points.csv")],

@@ -12,6 +12,7 @@ from balance_cli.io.version import __version__
 
 COMMANDS = (
     "import",
+    "import-frf",
     "calibrate",
     "apply",
     "sweep-tf",

@@ -9,7 +9,6 @@ from pathlib import Path
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.channel_range import full_range_faults
 from balance_cli.campaign.recording.gaps import gap_summary
-from balance_cli.campaign.recording.import_map_file import read_import_map
 from balance_cli.campaign.recording.load_table import is_point_table, read_load_table
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
@@ -22,6 +21,7 @@ from balance_cli.io.artefacts import StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import (
     ARTEFACT_FORMATS,
+    FRF_MAP_FORMAT,
     GEOMETRY_FORMAT,
     HALL_FORMAT,
     HISTORY_FORMAT,
@@ -80,7 +80,7 @@ def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
         GEOMETRY_FORMAT: _check_geometry_file,
         RUN_FORMAT: _check_run_file,
         **dict.fromkeys(ARTEFACT_FORMATS, _check_artefact_file),
-        IMPORT_FORMAT: _check_import_map,
+        **dict.fromkeys((IMPORT_FORMAT, FRF_MAP_FORMAT), _check_map_file),
         HISTORY_FORMAT: _check_history_file,
         **dict.fromkeys((HALL_FORMAT, PLAN_FORMAT), _check_planning_file),
     }
@@ -247,21 +247,12 @@ def _stored_geometry(stored: StoredArtefact) -> Geometry | None:
     return Geometry.model_validate_json(text) if isinstance(text, str) else None
 
 
-def _check_import_map(path: Path, geometry: Geometry | None) -> FileFinding:
-    try:
-        mapping = read_import_map(path)
-    except UserError as error:
-        return FileFinding(IMPORT_FORMAT, "map of an import", faults=(error,))
-    about = f"map of an import for rig `{mapping.rig}`: {plural(len(mapping.channels), 'channel')}"
-    about += f", {plural(len(mapping.runs), 'run')}"
-    known = set(geometry.channel_names) if geometry is not None else set()
-    names = [channel.name for channel in mapping.channels.values()]
-    faults = [
-        UserError(f"the geometry has no channel `{name}`", str(path), "channels", "Correct the name")
-        for name in names
-        if geometry is not None and name not in known
-    ]
-    return FileFinding(IMPORT_FORMAT, about, rig=mapping.rig, faults=tuple(faults))
+def _check_map_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    from balance_cli.cli.map_check import check_map
+
+    format = sniff_format(path) or implied_format(path) or IMPORT_FORMAT
+    about, rig, faults = check_map(path, format, geometry)
+    return FileFinding(format, about, rig=rig, faults=faults)
 
 
 def _check_planning_file(path: Path, geometry: Geometry | None) -> FileFinding:

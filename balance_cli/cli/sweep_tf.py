@@ -65,7 +65,7 @@ def command(
     with session.collect_messages():
         _report_runs(session, transfer)
     session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
-    session.finish(_summary(transfer), _text(transfer))
+    session.finish(transfer_summary(transfer), response_lines(transfer))
 
 
 def _report_runs(session: Session, transfer: Transfer) -> None:
@@ -83,7 +83,8 @@ def _report_runs(session: Session, transfer: Transfer) -> None:
             session.warn_of_run(run, f"run {run}: {text}")
 
 
-def _summary(transfer: Transfer) -> dict[str, Any]:
+def transfer_summary(transfer: Transfer) -> dict[str, Any]:
+    """Return the JSON summary of frequency responses, with the keys of docs/json.md."""
     from balance_cli.signals.response.transfer import least_coherence, response_components
 
     return {
@@ -118,7 +119,8 @@ def _median_relative_sigma(transfer: Transfer, component: str) -> float:
     return float(np.median(relative_sigma(response_to_component(transfer, component))))
 
 
-def _text(transfer: Transfer) -> Iterator[str]:
+def response_lines(transfer: Transfer) -> Iterator[str]:
+    """Yield the lines of the console summary: runs, least coherence and sigma of each component."""
     from balance_cli.signals.response.transfer import least_coherence, response_components
 
     for response in transfer.responses:

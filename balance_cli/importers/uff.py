@@ -64,7 +64,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """Open the datasets 58 of a file; others are listed in the notes."""
     groups, notes, recorded, others = [], [], None, []
     with path.open("rb") as file:
-        for number, kind, header, where in _datasets(file, path.stat().st_size):
+        for number, kind, header, where in datasets(file, path.stat().st_size):
             if not kind.startswith("58"):
                 others.append(kind)
                 continue
@@ -79,8 +79,11 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     return ForeignFile(path, NAME, tuple(groups), tuple(dict.fromkeys(notes)), recorded)
 
 
-def _datasets(file: BinaryIO, size: int) -> Iterator[tuple[int, str, list[str], Layout58]]:
-    """Yield number, type, header lines and place of the data of every dataset."""
+def datasets(file: BinaryIO, size: int) -> Iterator[tuple[int, str, list[str], Layout58]]:
+    """Yield number, type, header lines and place of the data of every dataset.
+
+    Raises UserError where the file is damaged.
+    """
     number = 0
     while (line := file.readline(LONGEST_LINE)) != b"":
         if line.strip() != DELIMITER:
@@ -150,7 +153,7 @@ def _binary_place(file: BinaryIO, words: list[str], header: list[str], size: int
     if words[2] != "2":
         raise UserError("holds numbers that are not IEEE 754", remedy="Export them in IEEE format, or as text")
     offset, order = file.tell(), "<" if words[1] == "1" else ">"
-    needed = _data_form(header).bytes_needed
+    needed = data_form(header).bytes_needed
     stated = int(words[4]) if words[4].isascii() and words[4].isdecimal() else needed
     for count in dict.fromkeys((needed, stated)):
         if count >= needed and offset + count <= size and _ends_at(file, offset + count):
@@ -194,7 +197,8 @@ class DataForm:
         return self.count * (ordinate + (0 if self.is_even else 8 if self.is_double else 4))
 
 
-def _data_form(header: list[str]) -> DataForm:
+def data_form(header: list[str]) -> DataForm:
+    """Return what records 6 and 7 say. Raises UserError where they cannot be read."""
     try:
         fields = header[6].replace("D", "E").split()
         function = int(header[5][:5])
@@ -204,8 +208,8 @@ def _data_form(header: list[str]) -> DataForm:
 
 
 def _group(path: Path, header: list[str], where: Layout58, number: int) -> tuple[ChannelGroup, list[str]]:
-    form = _data_form(header)
-    label, unit = _axis(header[8])
+    form = data_form(header)
+    label, unit = split_axis(header[8])
     channel = ForeignChannel(_channel_name(header, label, number), unit)
     unusable = _unusable(form, header)
     rate, notes = None, []
@@ -254,8 +258,8 @@ def _channel_name(header: list[str], label: str, number: int) -> str:
     return label if label and label != "NONE" else f"dataset {number}"
 
 
-def _axis(line: str) -> tuple[str, str]:
-    """Label and unit of an axis record (I10, 3I5, 2(1X, 20A1))."""
+def split_axis(line: str) -> tuple[str, str]:
+    """Return label and unit of an axis record (I10, 3I5, 2(1X, 20A1))."""
     label, unit = line[25:46].strip(), line[46:67].strip()
     return label, "" if unit == "NONE" else unit
 

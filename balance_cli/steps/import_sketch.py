@@ -24,6 +24,8 @@ from balance_cli.steps.sketched_times import empty_times, even_column, time_chan
 
 TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|\bpsi\b|speed", re.IGNORECASE)
 ANGLE_NAME = re.compile(r"azimu|\bpsi\b|angle|winkel", re.IGNORECASE)
+FREQUENCY_RESPONSE = "a frequency response"
+"""How the reader of universal files begins to say why a response is no record."""
 SIMILARITY = 0.6
 """Share of equal characters (difflib) from which two names are taken as one."""
 KIND_NAMES = {
@@ -110,7 +112,9 @@ def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time
         return
     unusable = next((group for group in file.groups if group.unusable), None)
     what = f": `{unusable.names[0]}` is {unusable.unusable}" if unusable is not None else ""
-    raise UserError(f"has no records of samples in time{what}", str(file.path), remedy="Export the time records")
+    is_response = unusable is not None and FREQUENCY_RESPONSE in unusable.unusable
+    remedy = "Import responses by `balance import-frf`, or export" if is_response else "Export"
+    raise UserError(f"has no records of samples in time{what}", str(file.path), remedy=f"{remedy} the time records")
 
 
 def _rig(geometry: Geometry | None) -> str:

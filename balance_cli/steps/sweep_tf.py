@@ -29,7 +29,7 @@ from balance_cli.signals.response.transfer import SteadyPart, Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.signals.single_force import SingleForce, single_force
 
-__all__ = ["ESTIMATORS", "estimate_responses"]
+__all__ = ["ESTIMATORS", "add_point_responses", "estimate_responses", "with_contradictions"]
 
 SAME_LEVEL = 0.05
 """Relative difference of two declared levels that are the same set-up: an exciter does not repeat its level exactly."""
@@ -63,7 +63,7 @@ def estimate_responses(
     records = [(run, item) for run, item in zip(sweeps, measured, strict=True) if isinstance(item, PeriodicRecord)]
     at_hub = _periodic_responses(records)
     at_hub += [item for item in measured if isinstance(item, FrequencyResponse)]
-    responses, faults = _add_point_responses(at_hub, points)
+    responses, faults = add_point_responses(at_hub, points)
     transfer = Transfer(
         geometry=geometry,
         responses=tuple(responses),
@@ -73,11 +73,11 @@ def estimate_responses(
         unused_runs=unused | faults,
         usual_noise=measure_usual_noise(runs, geometry.channel_names) or None,
     )
-    return _with_contradictions(transfer)
+    return with_contradictions(transfer)
 
 
-def _with_contradictions(transfer: Transfer) -> Transfer:
-    """The responses with what several sweeps say differently of the rig among their findings."""
+def with_contradictions(transfer: Transfer) -> Transfer:
+    """Return the responses with what several sweeps say differently of the rig among their findings."""
     if len(transfer.responses) < 2:
         return transfer
     from balance_cli.signals.response.common_modes import contradicting_modes
@@ -117,7 +117,7 @@ def _point_force(
     return PointForce(response, force.multiples)
 
 
-def _add_point_responses(
+def add_point_responses(
     at_hub: list[FrequencyResponse], forces: Sequence[PointForce]
 ) -> tuple[list[FrequencyResponse], dict[str, str]]:
     """Add the responses to the hub loads that forces at points span, one for each rotor speed.

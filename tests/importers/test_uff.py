@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.importers import open_foreign
-from balance_cli.importers.uff import _data_form
+from balance_cli.importers.uff import data_form
 from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
 from tests.support.measured_data import SHARED
@@ -140,4 +140,4 @@ def test_plausible_rates(step, rate):
 
 def test_a_header_of_too_few_lines_is_damage():
     with pytest.raises(UserError, match="truncated or damaged"):
-        _data_form(["name", "NONE"])
+        data_form(["name", "NONE"])

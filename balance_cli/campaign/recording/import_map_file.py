@@ -45,7 +45,7 @@ def read_import_map(path: Path) -> ImportMap:
         if not isinstance(declared, dict) or declared.get("format") != IMPORT_FORMAT:
             remedy = f"It should begin with `format: {IMPORT_FORMAT}`; `balance import --sketch FILE` prints one"
             raise UserError("is not a map of an import", place="format", remedy=remedy)
-        _refuse_unfinished(declared)
+        refuse_unfinished(declared)
         return ImportMap.model_validate(declared)
     except ValidationError as error:
         raise validation_faults(ImportMap, error)[0].with_location(file=str(path)) from error
@@ -53,7 +53,7 @@ def read_import_map(path: Path) -> ImportMap:
         raise error.with_location(file=str(path)) from error
 
 
-def _refuse_unfinished(declared: object, place: tuple[int | str, ...] = ()) -> None:
+def refuse_unfinished(declared: object, place: tuple[int | str, ...] = ()) -> None:
     """Raise UserError where a sketch was not completed."""
     entries = (
         declared.items() if isinstance(declared, dict) else enumerate(declared) if isinstance(declared, list) else ()
@@ -63,7 +63,7 @@ def _refuse_unfinished(declared: object, place: tuple[int | str, ...] = ()) -> N
             raise UserError(
                 f"`{UNFINISHED}` is left of the sketch", place=dotted_place((*place, key)), remedy="Complete it"
             )
-        _refuse_unfinished(value, (*place, key))
+        refuse_unfinished(value, (*place, key))
 
 
 def declared_runs(declared: ImportMap, files: tuple[Path, ...], map_file: str) -> tuple[DeclaredRun, ...]:

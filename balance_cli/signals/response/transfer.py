@@ -45,6 +45,7 @@ class Transfer(ResultView):
     periodic run to the part that was used, `channels_left_out` {run: {channel: reason}} and `unused_runs` {run: reason}
     say what was not used; `consistency` is what the cross-checks said of the runs, None where nothing. `usual_noise` is
     that of the channels near half the sample rate, which the sweeps have in common; None where they have none.
+    `import_notes` say of responses of another program what was assumed, and where sigma comes from; else None.
     """
 
     geometry: Geometry
@@ -55,6 +56,7 @@ class Transfer(ResultView):
     unused_runs: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "unused"})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
     usual_noise: tuple[UsualNoise, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    import_notes: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Runs, components and band, least coherence, channels left out."""
@@ -70,6 +72,7 @@ class Transfer(ResultView):
         lost = sorted({channel for channels in self.channels_left_out.values() for channel in channels})
         if lost:
             yield f"  channels left out: {', '.join(lost)}"
+        yield from (f"  {note}" for note in self.import_notes or ())
         yield from warning_lines(self.consistency)
 
     def to_frame(self) -> pd.DataFrame:
