@@ -43,8 +43,8 @@ def command(
     """Import frequency responses that another program has measured.
 
     MAP is a YAML file that says which function is which channel over which load. UFF 58 and 58b (function types 4 and
-    6), MAT, HDF5 and tables of text are recognized by content. The result is used by `reduce --transfer` and
-    `identify`. Signs, units and phases are checked against the geometry, and against a calibration.
+    6), MAT, HDF5 and tables of text are recognized by content. The result is used by `reduce
+    --transfer`. Signs, units and phases are checked against the geometry, and against a calibration.
     """
     if sketch:
         if output is not None or calibration is not None:
