@@ -16,7 +16,7 @@ from balance_cli.io.formats import MODEL_FORMAT
 from balance_cli.io.percent import percent_text
 
 if TYPE_CHECKING:
-    from balance_cli.estimation.identified_model import IdentifiedModel, RunFit
+    from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, RunFit
 
 # Factor on every sigma above which the summary warns of a misfit: sigma is rarely known to better than 10 %.
 MIN_MISFIT_SCALE = 1.1
@@ -119,9 +119,21 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
     }
 
 
-def _run_fit_summary(run: RunFit) -> dict[str, float]:
+def _run_fit_summary(run: RunFit) -> dict[str, float | str | None]:
     """Return the JSON summary of the fit of one run."""
-    return {"chi2": run.chi2, "dof": run.dof, "frf_error": run.frf_error, "frf_noise": run.frf_noise_floor}
+    numbers = {"chi2": run.chi2, "dof": run.dof, "frf_error": run.frf_error, "frf_noise": run.frf_noise_floor}
+    return {**numbers, "worst_channel": run.worst_channel}
+
+
+def _misfit_text(quality: FitQuality) -> str:
+    """Return that a model does not describe its data, with the run and the channel that it misses most."""
+    said = "The model does not describe these data: the uncertainties below are underestimated"
+    name = quality.worst_run
+    if not name:
+        return said
+    run = quality.runs[name]
+    channel = f", there channel {run.worst_channel}" if run.worst_channel else ""
+    return f"{said}. It misses {name} most (chi2/dof {run.chi2 / run.dof:.4g}){channel}"
 
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:
@@ -137,7 +149,7 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
         yield f"chi2/dof {quality.chi2_per_dof:.4g} against the measured noise"
         yield f"error of all responses {percent_text(quality.frf_error, 3)} %"
     if model.misfit_scale > MIN_MISFIT_SCALE:
-        yield "The model does not describe these data: the uncertainties below are underestimated"
+        yield _misfit_text(quality)
     for departure in declared_agreement(model).departures:
         yield f"NOT AS DECLARED: {departure.description}"
     yield "   Hz         sigma      damping    sigma"

@@ -75,7 +75,9 @@ def _batch_quality(batch: Batch, system: System, frf_limits: tuple[float, float]
     size = np.where(in_band, np.sum(np.abs(batch.lines.loads) ** 2, axis=1), 1.0)
     is_live = live_mask(batch)
     error = np.sum(np.where(is_live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
-    noise = np.sum(np.where(is_live, residual_variance(batch, columns, is_live), 0.0), axis=1) / size
+    variance = np.where(is_live, residual_variance(batch, columns, is_live), 0.0)
+    noise = np.sum(variance, axis=1) / size
+    by_channel = np.where(variance > 0.0, np.abs(fit.residual) ** 2 / np.where(variance > 0.0, variance, 1.0), 0.0)
     signal = np.sum(np.where(is_live, np.abs(batch.lines.channels) ** 2, 0.0), axis=1) / size
     qualities = {}
     for i, name in enumerate(batch.run_names):
@@ -87,8 +89,15 @@ def _batch_quality(batch: Batch, system: System, frf_limits: tuple[float, float]
             dof=float(batch.lines.count[of_run].sum() - amplitudes),
             frf_error=_rms_ratio(error[band], signal[band]),
             frf_noise_floor=_rms_ratio(noise[band], signal[band]),
+            worst_channel=_worst_channel(by_channel[of_run], system.channel_names),
         )
     return qualities
+
+
+def _worst_channel(squares: Array, names: Sequence[str]) -> str | None:
+    """Return the channel of the largest squares (k, c) of residuals over their noise; None without any."""
+    total = np.sum(squares, axis=0)
+    return names[int(np.argmax(total))] if np.any(total > 0.0) else None
 
 
 def _rms_ratio(part: Array, total: Array) -> float:

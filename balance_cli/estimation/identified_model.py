@@ -63,12 +63,16 @@ STATIC_SHARE = 0.5
 
 @dataclass(frozen=True)
 class RunFit:
-    """Fit of one run: chi-square, its degrees of freedom, relative error of the response and its noise floor."""
+    """Fit of one run: chi-square, its degrees of freedom, relative error of the response and its noise floor.
+
+    `worst_channel`: that whose residuals are largest over their noise; None where that is not known.
+    """
 
     chi2: float
     dof: float
     frf_error: float
     frf_noise_floor: float = field(metadata={"stored_as": "frf_noise"})
+    worst_channel: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,12 @@ class FitQuality:
     def chi2_per_dof(self) -> float:
         """Chi-square per degree of freedom; NaN where nothing was fitted."""
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+    @property
+    def worst_run(self) -> str:
+        """The run whose chi-square per degree of freedom is largest; empty where none has one."""
+        ratios = {name: run.chi2 / run.dof for name, run in self.runs.items() if run.dof > 0 and run.chi2 > 0}
+        return max(ratios, key=lambda name: ratios[name], default="")
 
 
 @dataclass(frozen=True, repr=False)
