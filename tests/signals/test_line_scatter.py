@@ -28,6 +28,14 @@ def test_scatter_gives_the_noise_of_the_lines(channels):
     assert np.percentile(np.sqrt(variance), 5) > 0.006
 
 
+def test_channels_that_do_not_respond_leave_the_scatter_of_the_others():
+    values = noisy(9, 0.002, 5)
+    values[:, 3:] -= noisy(9, 0.0, 5)[:, 3:]
+    ratio = np.sqrt(scatter_variance(FREQUENCY, values, "none")) / 0.002
+    assert 0.8 < np.median(ratio[:, :3]) < 1.25
+    assert np.percentile(ratio[:, :3], 95) < 2.0
+
+
 def test_a_window_hides_scatter_and_is_made_up_for():
     values = noisy(5, 0.01, 4)
     plain, hann = (scatter_variance(FREQUENCY, values, window) for window in ("none", "hann"))

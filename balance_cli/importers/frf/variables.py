@@ -111,9 +111,7 @@ def _hdf5_variables(path: Path) -> Variables:
                 array = _complex_array(item[()])
                 if array.dtype.kind in NUMBERS and array.size > 1:
                     arrays[name] = np.squeeze(array.T if classes else array)  # MATLAB stores its arrays transposed
-                    stated = next(
-                        (text for key in hdf5.UNIT_ATTRIBUTES if (text := attribute_text(item.attrs.get(key)))), ""
-                    )
+                    stated = _stated_unit(item)
                     units |= {name: unit or stated} if unit or stated else {}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise damage_error(error) from error

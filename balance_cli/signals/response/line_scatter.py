@@ -21,9 +21,11 @@ two to a mode's width, 9 instead of 13 lines halve what modes beside the window 
 FEW_CHANNELS = 3
 DEGREE = 3
 """Of numerators and denominator: one mode within the lines, half of another, and what the others add."""
-ITERATIONS = 2
+ITERATIONS = 3
 RIDGE = 1e-12
 """Of the power of the lines: far below what a mode within them has."""
+LEAST_NOISE = 1e-12
+"""Of the power of a channel: noise is never so far below it that other channels do not count at all."""
 POOLED_LINES = 7
 """Neighboring lines over which the relative variance is averaged: it is then known to a fifth."""
 LEAST_SEEN = 0.05
@@ -88,22 +90,28 @@ def _share_seen(window: str, lines: int) -> float:
 
 
 def _residual_power(frequency: Array, response: ComplexArray) -> Array:
-    """Return the residual power (n, c) of rational functions fitted to windows (n, M) of responses (n, M, c)."""
+    """Return the residual power (n, c) of rational functions fitted to windows (n, M) of responses (n, M, c).
+
+    Channels count by their noise, which is what a polynomial leaves of them and then the iteration before: those that
+    hardly respond are all noise, and would make a denominator that fits no other channel.
+    """
     middle, half = frequency.mean(axis=1), np.ptp(frequency, axis=1) / 2.0
     x = (frequency - middle[:, None]) / half[:, None]
     powers = x[:, :, None] ** np.arange(DEGREE + 1)
     size = np.sqrt(np.mean(np.abs(response) ** 2, axis=1, keepdims=True))
     scaled = response / np.where(size > 0.0, size, 1.0)
     weight = np.ones_like(x)
-    residual = np.zeros_like(scaled)
+    basis = np.linalg.qr(powers)[0]
+    residual = scaled - basis @ (basis.swapaxes(1, 2) @ scaled)
     for _ in range(ITERATIONS):
+        precision = 1.0 / np.maximum(_pool(np.mean(np.abs(residual) ** 2, axis=1)), LEAST_NOISE)
         basis = np.linalg.qr(weight[:, :, None] * powers)[0]
         terms = (weight[:, :, None, None] * powers[:, :, None, :] * scaled[:, :, :, None]).reshape(*x.shape, -1)
         terms = terms - basis @ (basis.swapaxes(1, 2) @ terms)
         flat = terms.reshape(len(terms), -1, DEGREE + 1)
-        normal = flat[:, :, 1:].conj().swapaxes(1, 2)
+        normal = (flat[:, :, 1:] * np.tile(precision, x.shape[1])[:, :, None]).conj().swapaxes(1, 2)
         # The ridge holds the coefficients of lines that one polynomial describes, which determine no denominator.
-        ridge = RIDGE * np.sum(np.abs(scaled) ** 2, axis=(1, 2))[:, None, None] * np.eye(DEGREE)
+        ridge = RIDGE * x.shape[1] * precision.sum(axis=1)[:, None, None] * np.eye(DEGREE)
         unknown = np.linalg.solve(normal @ flat[:, :, 1:] + ridge, -normal @ flat[:, :, :1])
         denominator = 1.0 + (powers[:, :, 1:] @ unknown)[:, :, 0]
         residual = (flat[:, :, :1] + flat[:, :, 1:] @ unknown).reshape(scaled.shape)
