@@ -27,12 +27,14 @@ QUANTITY_UNITS = {"a displacement": LENGTH, "a velocity": VELOCITY, "an accelera
 class Conversion:
     """A value in V (or the unit of the channel's readings) is `factor` (2 pi i f)^`derivatives` times that of the file.
 
-    `note` says what was assumed; empty where nothing was.
+    `note` says what was assumed; empty where nothing was. `by_sensitivity` is the unit that the declared sensitivity of
+    the channel converts; empty where it does not.
     """
 
     factor: float
     derivatives: int = 0
     note: str = ""
+    by_sensitivity: str = ""
 
 
 def convert_response(function: FrfFunction, mapped: MappedResponse, channel: Channel) -> Conversion:
@@ -52,8 +54,7 @@ def convert_response(function: FrfFunction, mapped: MappedResponse, channel: Cha
         derivatives = MOTIONS[unit.dimension][1] if unit.dimension in MOTIONS else 0
         return Conversion(mapped.sign * unit.factor * mapped.scale, derivatives, assumed)
     derivatives = _own_quantity(unit, channel, function)
-    note = f"`{terminal.name}` in {unit.symbol} is converted by the declared sensitivity of `{channel.name}`"
-    return Conversion(mapped.sign * unit.factor * channel.sensitivity, derivatives, note)
+    return Conversion(mapped.sign * unit.factor * channel.sensitivity, derivatives, assumed, unit.symbol)
 
 
 def _own_quantity(unit: Unit, channel: Channel, function: FrfFunction) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,27 @@ COHERENCE_SLACK = 1e-3
 
 
 @dataclass(frozen=True)
+class _Notes:
+    """Notes, each once and in their order; `shared` {text: names} those that several channels or references have."""
+
+    single: dict[str, None] = field(default_factory=dict)
+    shared: dict[str, dict[str, None]] = field(default_factory=dict)
+
+    def add(self, *texts: str) -> None:
+        """Add notes; an empty one is none."""
+        self.single.update(dict.fromkeys(filter(None, texts)))
+
+    def share(self, text: str, name: str) -> None:
+        """Add a name to those that have a note."""
+        self.shared.setdefault(text, {})[name] = None
+
+    def texts(self) -> tuple[str, ...]:
+        """All notes, those with their names last."""
+        named = (f"{', '.join(f'`{name}`' for name in names)}: {text}" for text, names in self.shared.items())
+        return (*self.single, *named)
+
+
+@dataclass(frozen=True)
 class _Reference:
     """The responses to one reference: `multiples` (6,) are the hub loads for one unit of it."""
 
@@ -49,14 +70,11 @@ def import_responses(mapping: FrfMap, sources: Sequence[FrfFile | Variables], ge
     convention.
     """
     _require_rig(mapping, geometry)
-    matched, notes = match_functions(mapping, sources)
-    said = dict.fromkeys(notes)
-    references = [_reference(name, matched, mapping, geometry, said) for name in mapping.references]
-    origins: dict[str, list[str]] = {}
-    responses = [_frequency_response(item, mapping, origins) for item in references]
-    said |= {
-        f"responses to {', '.join(f'`{name}`' for name in names)}: {text}": None for text, names in origins.items()
-    }
+    matched, said = match_functions(mapping, sources)
+    notes = _Notes()
+    notes.add(*said)
+    references = [_reference(name, matched, mapping, geometry, notes) for name in mapping.references]
+    responses = [_frequency_response(item, mapping, notes) for item in references]
     require_causal(responses, mapping.time_convention)
     at_hub, points = _hub_and_points(references, responses)
     combined, faults = add_point_responses(at_hub, points)
@@ -66,7 +84,7 @@ def import_responses(mapping: FrfMap, sources: Sequence[FrfFile | Variables], ge
         estimator=IMPORTED,
         channels_left_out={item.name: item.lines.left_out for item in references if item.lines.left_out},
         unused_runs=faults,
-        import_notes=tuple(said),
+        import_notes=notes.texts(),
     )
     return with_contradictions(transfer)
 
@@ -83,12 +101,12 @@ def _require_rig(mapping: FrfMap, geometry: Geometry) -> None:
 
 
 def _reference(
-    name: str, matched: Sequence[MatchedFunction], mapping: FrfMap, geometry: Geometry, notes: dict[str, None]
+    name: str, matched: Sequence[MatchedFunction], mapping: FrfMap, geometry: Geometry, notes: _Notes
 ) -> _Reference:
     """The responses to one reference of the map, in readings per unit of it."""
     own = [item for item in matched if item.reference == name]
     multiples, note = load_multiples(name, mapping.references[name], own[0].function.reference, geometry.hub)
-    notes |= {note: None} if note else {}
+    notes.add(note)
     # In the order of the geometry, as those of sweeps are.
     own.sort(key=lambda item: geometry.channel_names.index(mapping.responses[item.response].name))
     curves = {}
@@ -98,19 +116,21 @@ def _reference(
         except UserError as error:
             raise error.with_location(file=item.file) from error
     lines = common_lines(curves, name)
-    notes |= dict.fromkeys(lines.notes)
+    notes.add(*lines.notes)
     return _Reference(name, multiples, lines)
 
 
-def _curve(item: MatchedFunction, mapping: FrfMap, geometry: Geometry, notes: dict[str, None]) -> Curve:
+def _curve(item: MatchedFunction, mapping: FrfMap, geometry: Geometry, notes: _Notes) -> Curve:
     """A function in readings of its channel per unit of its reference, with the phase of exp(+j omega t)."""
     function, mapped = item.function, mapping.responses[item.response]
     channel = geometry.channels[geometry.channel_names.index(mapped.name)]
     response = convert_response(function, mapped, channel)
     reference = convert_reference(function, mapping.references[item.reference])
-    notes |= dict.fromkeys(_assumptions(item, response, reference))
+    notes.add(*_assumptions(item, response, reference))
+    if response.by_sensitivity:
+        notes.share(f"in {response.by_sensitivity}, converted by the declared sensitivity", mapped.name)
     if mapping.time_convention == "exp(-jwt)":
-        notes["conjugated, as the map states exp(-jwt)"] = None
+        notes.add("conjugated, as the map states exp(-jwt)")
         function = _conjugate(function)
     value = apply_conversions(function, response, reference)
     return Curve(function.frequency, value, _coherence(item), function.resolution)
@@ -144,14 +164,14 @@ def _coherence(item: MatchedFunction) -> Array | None:
     return np.clip(np.nan_to_num(values), 0.0, 1.0)
 
 
-def _frequency_response(item: _Reference, mapping: FrfMap, origins: dict[str, list[str]]) -> FrequencyResponse:
+def _frequency_response(item: _Reference, mapping: FrfMap, notes: _Notes) -> FrequencyResponse:
     """The response to one reference with its covariance; errors of channels are taken as independent.
 
-    `origins` {where sigma comes from: references} is extended.
+    Where sigma comes from is added to the notes.
     """
     lines = item.lines
     variance, origin = response_variance(lines, mapping)
-    origins.setdefault(origin, []).append(item.name)
+    notes.share(origin, item.name)
     coherence = coherence_of(lines, variance, mapping.averages)
     size = len(lines.channels)
     largest = COMPONENTS[int(np.argmax(np.abs(item.multiples[:3])))] if item.multiples[:3].any() else ""
