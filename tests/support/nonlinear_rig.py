@@ -63,9 +63,9 @@ def calibration(curved=True, combined=True):
     return calibrate(static_runs(np.random.default_rng(1), curved, combined), RIG)
 
 
-def record(name, loads, shift=0.0, noise=NOISE, seed=0, curved=True, kind="wind"):
+def record(name, loads, shift=0.0, noise=NOISE, seed=0, curved=True, kind="wind", rate=200.0):
     """Ten seconds under constant loads, with a pulse each revolution."""
-    rate, speed, seconds = 200.0, 10.0, 10.0
+    speed, seconds = 10.0, 10.0
     samples = int(rate * seconds)
     volts = readings(loads) if curved else np.atleast_2d(loads) @ C0.T
     channels = ZERO + shift + volts + noise * np.random.default_rng(seed).normal(size=(samples, len(NAMES)))
