@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.load_table_columns import plain_name
 from balance_cli.campaign.rig.independence import has_independent_columns
+from balance_cli.io.column_heads import split_unit
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable
-from balance_cli.io.units import FORCE, MOMENT, NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
+from balance_cli.io.units import FORCE, MOMENT, NUMBER, RATIO, VOLTAGE, Unit, parse_unit
 
 Array = NDArray[np.float64]
 

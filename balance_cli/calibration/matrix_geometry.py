@@ -9,10 +9,11 @@ from balance_cli.calibration.ati_matrix import read_ati_matrix
 from balance_cli.calibration.matrix_file import is_matrix_of_all_terms, is_xml, read_text_file
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.column_heads import split_unit
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import GEOMETRY_FORMAT
 from balance_cli.io.table_text import TextTable, read_table
-from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, is_unit, parse_unit, split_unit
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, is_unit, parse_unit
 
 REMEDY = "Give the balance with -g GEOMETRY"
 

@@ -18,8 +18,8 @@ from balance_cli.importers.base import (
     errors_as_damage,
     require_package,
 )
+from balance_cli.io.column_heads import split_quotient
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import split_quotient
 
 NAME = "Parquet"
 

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from balance_cli.importers.base import TextLayout
 from balance_cli.importers.scope_heads import counts_samples
 from balance_cli.importers.text_clock import CLOCK
+from balance_cli.io.column_heads import split_quotient
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import REMARKS
 from balance_cli.io.text_numbers import is_missing, is_number
-from balance_cli.io.units import is_unit, split_quotient
+from balance_cli.io.units import is_unit
 
 UNIT_SHARE = 0.5
 """Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""

@@ -96,11 +96,6 @@ _TEMPERATURES = {
 _SIGNS = str.maketrans(
     {"µ": "u", "μ": "u", "ε": "e", "ϵ": "e", "·": " ", "⋅": " ", "×": " ", "*": " ", "²": "2", "°": "deg", "^": None}
 )
-_HEADERS = (
-    re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$"),
-    re.compile(r"^(?P<name>.*?)\s*\((?P<unit>.*)\)\s*$"),
-)
-"""`Fx [N]` and `Fx (N)`; the second is greedy because units can have brackets themselves."""
 
 
 @dataclass(frozen=True)
@@ -157,30 +152,6 @@ def can_be_unit_of(text: str, dimension: str) -> bool:
     spelling = _normalize(text)
     units = _units_by_spelling().get(spelling) or _ignore_case(spelling) if spelling else ()
     return any(unit.dimension == dimension for unit in units)
-
-
-def split_quotient(header: str) -> tuple[str, str | None]:
-    """Split the head of a column as `split_unit`, or as ISO 80000-1 writes it, the quantity over its unit: `Fx/N`.
-
-    What is a unit as a whole (`mV/V`) and what has no name before the sign (`1/rev`) has none.
-    """
-    name, unit = split_unit(header)
-    if unit is not None or is_unit(name):
-        return name, unit
-    for sign in re.finditer("/", name):
-        before, behind = name[: sign.start()].strip(), name[sign.end() :].strip()
-        if before[:1].isalpha() and is_unit(behind) and not behind[0].isdigit():
-            return before, behind
-    return name, None
-
-
-def split_unit(header: str) -> tuple[str, str | None]:
-    """Split the head of a column into name and unit: `Fx [N]`, `Fx (N)`; the unit is None where there is none."""
-    for pattern in _HEADERS:
-        match = pattern.match(header.strip())
-        if match and match["name"]:
-            return match["name"].strip(), match["unit"].strip()
-    return header.strip(), None
 
 
 def short_reading(value: float, base_unit: str) -> str:

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from balance_cli.io.column_heads import split_unit
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import (
     ACCELERATION,
@@ -21,7 +22,6 @@ from balance_cli.io.units import (
     can_be_unit_of,
     parse_unit,
     short_reading,
-    split_unit,
 )
 
 PUBLISHED = {
@@ -162,6 +162,8 @@ def test_units_in_the_head_of_a_column() -> None:
     assert split_unit("Fx (in-lbf)") == ("Fx", "in-lbf")
     assert split_unit("Bridge 1 ((mV)/V)") == ("Bridge 1", "(mV)/V")
     assert split_unit("Fx") == ("Fx", None)
+    assert split_unit("Force (N) Run #1") == ("Force Run #1", "N")
+    assert split_unit("Force (raw) Run #1") == ("Force (raw) Run #1", None)
     assert split_unit("[N]") == ("[N]", None)
 
 

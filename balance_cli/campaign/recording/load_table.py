@@ -32,10 +32,11 @@ from balance_cli.campaign.recording.temperature import temperature_addition
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
+from balance_cli.io.column_heads import split_unit
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
 from balance_cli.io.text_numbers import LOAD_FILLER_RATIO
-from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, split_unit
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit
 
 Array = NDArray[np.float64]
 

@@ -7,20 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from balance_cli.campaign.rig.attitude import ANGLES
+from balance_cli.io.column_heads import split_unit
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable
-from balance_cli.io.units import (
-    ANGLE,
-    FORCE,
-    MASS,
-    MOMENT,
-    NUMBER,
-    Unit,
-    can_be_unit_of,
-    is_unit,
-    parse_unit,
-    split_unit,
-)
+from balance_cli.io.units import ANGLE, FORCE, MASS, MOMENT, NUMBER, Unit, can_be_unit_of, is_unit, parse_unit
 
 LABELS = {
     "series": ("series", "seriesno", "loadseries", "loadingsequence", "sequence", "reihe", "serie"),
