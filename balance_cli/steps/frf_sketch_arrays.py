@@ -13,13 +13,13 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.importers.frf.variables import Variables
 
 PART_WORDS = {
-    "magnitude": "magnitude|mag|modulus|amplitude|ampl|amp|abs",
-    "phase": "phase|angle|arg|ph",
-    "real": "real|re",
-    "imaginary": "imaginary|imag|im",
-    "coherence": "coherence|coh",
+    "magnitude": "magnitude|mag|modulus|amplitude|ampl|amp|abs|betrag",
+    "phase": "phase|angle|arg|ph|winkel",
+    "real": "real|re|realteil",
+    "imaginary": "imaginary|imag|im|imagin\u00e4rteil|imaginaerteil",
+    "coherence": "coherence|coh|koh\u00e4renz|kohaerenz",
 }
-"""Words that stand before or after the name of a response, by the key of the map whose array they name."""
+"""Words, English and German, before or after the name of a response, by the key of the map whose array they name."""
 COMPLETE = (("value",), ("real", "imaginary"), ("magnitude", "phase"))
 """Parts that are a complex number."""
 FREQUENCY_NAMES = ("f", "freq", "frequency", "hz")
@@ -86,7 +86,7 @@ class SketchedArrays:
         for file in self.files:
             yield from _listing(file, {name for pair in self.pairs for name in pair.parts.values()})
         names = (name for file in self.files for name in file.arrays)
-        guess = next((name for name in names if name.lower() in FREQUENCY_NAMES), UNFINISHED)
+        guess = next((name for name in names if re.split("[./]", name.lower())[-1] in FREQUENCY_NAMES), UNFINISHED)
         yield f"frequency: {json.dumps(guess)}"
         units = {unit for file in self.files for unit in file.units.values()}
         yield from (line for unit, line in UNIT_LINES if unit in units)
@@ -113,9 +113,10 @@ def _pairs_of_file(file: Variables, channel_names: Sequence[str]) -> Iterator[Sk
         if keys is None:
             continue
         channel = _longest_within(channel_names, base)
-        rest = base.replace(channel, " ") if channel else base
+        rest = re.sub(_pattern(channel), " ", base) if channel else base
         component = _longest_within(COMPONENTS, rest) or _longest_within(COMPONENTS, file.path.stem)
-        unit, _, reference_unit = file.units.get(parts[keys[0]], "").rpartition("/")
+        stated = file.units.get(parts[keys[0]], "")
+        unit, _, reference_unit = stated.rpartition("/") if "/" in stated else ("", "", "")
         used = {key: parts[key] for key in (*keys, "coherence") if key in parts}
         yield SketchedPair(file.path.name, channel, component, used, unit.strip(" ()"), reference_unit.strip(" ()"))
 
@@ -132,8 +133,12 @@ def _base_and_part(name: str) -> tuple[str, str]:
 
 def _longest_within(names: Sequence[str], text: str) -> str:
     """Return the longest of the names that stands in a text between other signs than letters and digits, or ``."""
-    found = [name for name in names if re.search(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", text, re.IGNORECASE)]
-    return max(found, key=len, default="")
+    return max((name for name in names if re.search(_pattern(name), text)), key=len, default="")
+
+
+def _pattern(name: str) -> str:
+    """Return a pattern of a name, in which another sign may stand for a point, as names of variables have none."""
+    return rf"(?i)(?<![^\W_]){re.escape(name)}(?![^\W_])".replace(r"\.", "[._]")
 
 
 def _listing(file: Variables, used: set[str]) -> Iterator[str]:
@@ -152,4 +157,12 @@ def _array_entries(file: Variables) -> Iterator[str]:
     for name, array in file.arrays.items():
         if array.dtype.kind == "c" and array.ndim > 1:
             names = f"responses: [{UNFINISHED}], references: [{UNFINISHED}]"
+            like = (other for other in file.arrays if _is_coherence(file, other, array.shape))
+            names += next((f", coherence: {json.dumps(other)}" for other in like), "")
             yield f"  - {{file: {json.dumps(file.path.name)}, value: {json.dumps(name)}, {names}}}"
+
+
+def _is_coherence(file: Variables, name: str, shape: tuple[int, ...]) -> bool:
+    """Whether an array is named as a coherence, and has the shape of responses."""
+    last = re.split("[./]", name)[-1]
+    return file.arrays[name].shape == shape and bool(re.match(rf"(?i)({PART_WORDS['coherence']})", last))

@@ -26,6 +26,7 @@ def a_file(name, units, kind=float):
         ("x.strain Mag", "x.strain Phase"),
         ("|x.strain| over Fy_abs", "|x.strain| over Fy_angle"),
         ("Magnitude [X.Strain, Fy]", "Phase [X.Strain, Fy]"),
+        ("x.strain/Fy Betrag", "x.strain/Fy Phase"),
     ],
 )
 def test_magnitude_and_phase_of_a_channel_are_a_pair(magnitude, phase):
@@ -36,6 +37,13 @@ def test_magnitude_and_phase_of_a_channel_are_a_pair(magnitude, phase):
     assert sketch["responses"] == {"x.strain": {"name": "x.strain", "unit": "N"}}
     assert sketch["references"] == {"Fy": {"component": "Fy", "unit": "N"}}
     assert sketch["phase_unit"] == "rad" and sketch["frequency"] == "Frequency"
+
+
+def test_a_unit_that_is_no_quotient_is_that_of_neither_end():
+    columns = {"x.strain/Fy Mag": "dB", "x.strain/Fy Phase": "deg"}
+    sketch = sketch_frf_map([a_file("frf.csv", columns)], RIG)
+    assert "magnitude_unit: dB" in sketch and '"x.strain": {name: "x.strain", unit: "TODO"}' in sketch
+    assert 'Fy: {component: Fy, unit: "TODO"}' in sketch
 
 
 def test_files_of_several_components_make_one_map():
