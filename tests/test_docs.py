@@ -163,7 +163,7 @@ NAMES = {
         ("trims", "files", "runs", "skipped", "left_out", "artefacts", "sections", "steady", "parameters", "hold_out"),
         1,
     ),
-    "unnoticed_errors": 2,
+    **dict.fromkeys(("unnoticed_errors", "changes"), 2),
     **dict.fromkeys(("full_scale", "is_rated_load", "largest_percent_fs", "largest_at", "check_points"), 1),
     **dict.fromkeys(("standard_deviation_percent_fs", "two_sigma_percent_fs"), 1),
     **dict.fromkeys(("residual_percent_fs", "full_range", "mean_load", "channel_residual_percent_fs"), 1),

@@ -38,6 +38,7 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "redundancy_limit": dict(enumerate(run.redundancy_limit)),
         "condition": dict(enumerate(run.condition)),
         "unnoticed_errors": _unnoticed_errors(run),
+        "undeclared_mass": _undeclared_mass(run),
         "channels_left_out": run.left_out,
         "interval_s": run.interval,
         "trim": run.trim,
@@ -69,6 +70,21 @@ def _unnoticed_errors(run: RunLoads) -> dict[str, dict[int, dict[str, Any]]] | N
         }
         for j, component in enumerate(run.components)
     }
+
+
+def _undeclared_mass(run: RunLoads) -> dict[str, Any] | None:
+    """Return the mass and {component: {harmonic: place and change of the load}}; None where masses are not known."""
+    added = run.undeclared_mass
+    if added is None:
+        return None
+    changes = {
+        component: {
+            n + 1: {"place": added.places[place], "change": float(change)}
+            for n, (place, change) in enumerate(zip(added.place[:, j], added.change[:, j], strict=True))
+        }
+        for j, component in enumerate(run.components)
+    }
+    return {"mass_kg": added.mass, "changes": changes}
 
 
 def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
@@ -115,8 +131,8 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
             yield f"   mean loads: {run.mean_loads_by}"
         for note in run.notes:
             yield f"   {note}"
-        if run.unnoticed_note:
-            yield f"   {run.unnoticed_note}"
+        for note in filter(None, (run.unnoticed_note, run.undeclared_mass_note)):
+            yield f"   {note}"
 
 
 def _verdict_lines(runs: Iterable[RunLoads]) -> Iterator[str]:

@@ -108,6 +108,14 @@ def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, C
     return _mix_channels(system, acting), _mix_channels(system, read)
 
 
+def readings_of_inputs(system: System, solution: Solution, force: ComplexArray) -> ComplexArray:
+    """Volts (k, s, c) of s generalized forces (k, s, n) at each frequency, virtual work per unit of each coordinate."""
+    excitation = force * system.equations.row_factor.value
+    springs = (excitation @ solution.force_influence.swapaxes(1, 2))[:, :, system.springs_of_channels]
+    volts = (solution.gains[:, None, :] * springs).swapaxes(1, 2)
+    return np.asarray(_mix_channels(system, volts).swapaxes(1, 2))
+
+
 def _mix_channels(system: System, volts: ComplexArray) -> ComplexArray:
     """Volts (k, c, ...) with the crosstalk of the channels; the same ones where there is none."""
     mixing = system.equations.mixing.value

@@ -28,6 +28,10 @@ NOTABLE_CHANGE = 0.1
 NOTABLE_SIGMAS = 2.0
 """Standard deviations of a load below which a change is within what is stated of it."""
 
+MASS_SHARE = 0.01
+"""Of the mass that moves, for which the loads are examined: a tool, a fixture of the exciter, or a hub of another kind.
+A change of eigenfrequencies by half of that is the least that turbulence shows (`moved_modes`)."""
+
 
 @dataclass(frozen=True)
 class NotableChange:
@@ -79,6 +83,36 @@ class UnnoticedErrors:
         )
 
 
+@dataclass(frozen=True)
+class UndeclaredMass:
+    """Change of each load (h, m) [N, N m] by `mass` [kg] at the worst of some `places`, as far as no channel shows it.
+
+    `place` (h, m) is the index of that place.
+    """
+
+    mass: float
+    places: tuple[str, ...]
+    place: NDArray[np.int64]
+    change: Array
+
+    def describe(self, components: Sequence[str], sigma: Array) -> str:
+        """Return which loads of sigma (h, m) it changes by more than they are stated to be known, else empty."""
+        over_sigma = self.change / np.where(sigma > 0.0, sigma, np.inf)
+        notable = np.where(over_sigma > NOTABLE_SIGMAS, self.change, 0.0)
+        parts = []
+        for j, n in enumerate(np.argmax(notable, axis=0)):
+            if notable[n, j] > 0.0:
+                name, place = components[j], self.places[self.place[n, j]]
+                size = f"{self.change[n, j]:.2g} {UNIT_OF.get(name, '')} ({over_sigma[n, j]:.2g} sigma)"
+                parts.append(f"{name} at harmonic {n + 1} by {size} if at {place}")
+        if not parts:
+            return ""
+        return (
+            f"{self.mass:.3g} kg ({100.0 * MASS_SHARE:g} % of the mass that moves) more or less than in the sweeps "
+            f"would not show in the channels, and changes {', '.join(parts)}"
+        )
+
+
 def unnoticed_errors(equations: LoadEquations, sensors: Sequence[str], degrees: Array, limit: Array) -> UnnoticedErrors:
     """Return how far an error of one sensor changes the loads before the residual test shows it.
 
@@ -86,13 +120,21 @@ def unnoticed_errors(equations: LoadEquations, sensors: Sequence[str], degrees: 
     shows an error in half of the cases where chi-square is then expected at its limit.
     """
     error = readings_of_sensors((*sensors, *sensors)) * equations.readings[:, None, :]
-    change = np.einsum("hba,hsa->hsb", equations.estimator, error)
-    m = change.shape[2] // 2
-    noticed = noticed_share(equations, error, degrees, limit)
-    size = np.minimum(noticed, SENSOR_ERROR)[:, :, None] * np.hypot(change[..., :m], change[..., m:])
+    size = unnoticed_changes(equations, error, degrees, limit, SENSOR_ERROR)
     worst = np.argmax(size, axis=1)
     names = tuple(dict.fromkeys(sensors))
     return UnnoticedErrors(names, worst, np.take_along_axis(size, worst[:, None, :], axis=1)[:, 0])
+
+
+def unnoticed_changes(equations: LoadEquations, error: Array, degrees: Array, limit: Array, most: float) -> Array:
+    """Return the change (h, s, m) of the loads by errors (h, s, a) of the readings, each times its share.
+
+    That is `most`, or less where the residual test shows the error.
+    """
+    change = np.einsum("hba,hsa->hsb", equations.estimator, error)
+    m = change.shape[2] // 2
+    noticed = noticed_share(equations, error, degrees, limit)
+    return np.asarray(np.minimum(noticed, most)[:, :, None] * np.hypot(change[..., :m], change[..., m:]))
 
 
 def readings_of_sensors(sensors: Sequence[str]) -> Array:

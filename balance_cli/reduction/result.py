@@ -17,7 +17,7 @@ from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.reduction.flags import FILTER_CONTRADICTED, FLAGS, SEPARATOR, join_flags
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
-from balance_cli.reduction.reliability import NotableChange, UnnoticedErrors
+from balance_cli.reduction.reliability import NotableChange, UndeclaredMass, UnnoticedErrors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -102,6 +102,7 @@ class RunLoads(ResultView):
     does not show of errors of the sensors at harmonics 1 to n, None where there is no such test. `mean_method`: what
     computed harmonic 0, in words; None where it was not measured, and in artefacts of former versions.
     `wrong_channels`: the mistake in the channels that explains what they contradict; None where none is known.
+    `undeclared_mass`: what no channel shows of a mass that the response does not have; None where masses are not known.
     """
 
     run: str
@@ -127,6 +128,7 @@ class RunLoads(ResultView):
     unnoticed: UnnoticedErrors | None = field(default=None, metadata={"omit_if_none": True})
     mean_method: str | None = field(default=None, metadata={"omit_if_none": True})
     wrong_channels: str | None = field(default=None, metadata={"omit_if_none": True})
+    undeclared_mass: UndeclaredMass | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def flag_counts(self) -> dict[str, int]:
@@ -159,6 +161,12 @@ class RunLoads(ResultView):
     def unnoticed_changes(self) -> tuple[NotableChange, ...]:
         """Which loads an error of one sensor changes most, unnoticed; empty where none matters."""
         return () if self.unnoticed is None else self.unnoticed.notable_changes(*self._sized_loads)
+
+    @property
+    def undeclared_mass_note(self) -> str:
+        """Which loads an undeclared mass changes most, in words; empty where none matters or masses are not known."""
+        components, _, sigma = self._sized_loads
+        return "" if self.undeclared_mass is None else self.undeclared_mass.describe(components, sigma)
 
     @property
     def _sized_loads(self) -> tuple[tuple[str, ...], Array, Array]:

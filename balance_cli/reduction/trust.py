@@ -28,7 +28,6 @@ from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.rotor_record import RotorRecord, at_constant_speed
 from balance_cli.reduction.steadiness import Steadiness, examine_steadiness
 from balance_cli.reduction.suspect_channels import contradicting_channels, explain_residuals
-from balance_cli.reduction.turbulence_evidence import EVIDENCE, mistakes_by_turbulence
 from balance_cli.reduction.untested_loads import harmonics_to_reject, row_sensors, untested_harmonics
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.rotor.harmonics import count_regressed_harmonics
@@ -45,6 +44,8 @@ A hub load known to 10 % does not serve for a comparison of rotors; below, sigma
 """
 PASSES_TEST = "the residual test is passed"
 """Evidence for a mistake in the channels, where redundant ones show it."""
+IS_SMOOTH = "the loads of turbulence then have a smooth spectrum"
+"""The same where as many sensors as loads leave no other."""
 LEAST_LEAK = 0.3
 """What may leak into a load, over its standard deviation, that flags it: together they are 5 % larger than that. In the
 channel where the line is strongest it is so many times the noise, and so it is taken to be in the loads."""
@@ -151,9 +152,10 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
     pairs = contradicted_pairs(record, geometry, source, reduced.response)
     is_rejected = bool(pairs) or bool(rejected.all())
     mistakes = explain_residuals(reduced.problem, record, geometry, source, is_rejected)
-    by_turbulence: tuple[str, ...] = ()
-    suspect = ""
+    by_turbulence, suspect = tuple[str, ...](), ""
     if not is_rejected and not _has_redundant_sensor(reduced):
+        from balance_cli.reduction.turbulence_evidence import mistakes_by_turbulence  # few balances need it
+
         by_turbulence = mistakes_by_turbulence(record, geometry, source)
     if is_rejected and not mistakes:
         suspect = contradicting_channels(record, geometry, source, reduced.solution, reduced.response)
@@ -171,7 +173,7 @@ def assess_trust(reduced: ReducedRecord) -> Trust:
         regressed=regressed,
         steadiness_note="; ".join(filter(None, [record.pulse_doubt, content.steadiness.note])),
         wrong_channels=", or ".join(mistakes or by_turbulence),
-        evidence=EVIDENCE if by_turbulence else PASSES_TEST,
+        evidence=IS_SMOOTH if by_turbulence else PASSES_TEST,
         suspect_note=suspect,
         mean_change=content.steadiness.mean_change,
         harmonic_error=content.steadiness.harmonic_error,

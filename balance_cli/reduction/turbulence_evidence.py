@@ -31,7 +31,6 @@ from balance_cli.signals.cross_spectra import blackman_harris
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-EVIDENCE = "the loads of turbulence then have a smooth spectrum"
 BINS_PER_LOAD = 4
 """Bins between two harmonics, per load, from which their covariance is known."""
 LEAST_GAIN, LEAST_GAIN_PER_BIN = 25.0, 0.25

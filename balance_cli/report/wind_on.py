@@ -71,6 +71,7 @@ def section(sources: Sources) -> Section | None:
         *_load_tables(shown.content),
         condition_table(tested),
         *_unnoticed_errors(shown),
+        *(Paragraph(f"{name}: {note}.") for name, note in _undeclared_masses(shown)),
         *_left_out_blocks(load_sources),
     ]
     others = [source for source in load_sources if source is not shown]
@@ -237,6 +238,13 @@ def _unnoticed_errors(shown: Source[HubLoads]) -> Iterator[Table]:
             "most."
         )
         yield Table(caption, (plain_row("", "sensor", "load", "harmonic", "change", "amplitude"),), tuple(rows))
+
+
+def _undeclared_masses(shown: Source[HubLoads]) -> Iterator[tuple[str, str]]:
+    """Yield the runs in which a mass that no channel shows changes loads, and which."""
+    for name, run in wind_runs(shown.content).items():
+        if run.undeclared_mass_note:
+            yield name, run.undeclared_mass_note
 
 
 def _left_out_blocks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:

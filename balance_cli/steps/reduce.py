@@ -39,6 +39,7 @@ from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
 from balance_cli.reduction.series_doubt import add_series_doubt
 from balance_cli.reduction.static_disagreement import add_static_disagreement
 from balance_cli.reduction.trust import ReducedRecord, assess_trust, nearest_trim
+from balance_cli.reduction.undeclared_mass import undeclared_mass
 from balance_cli.reduction.vibration_shift import read_deviations
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.reduction.wind_off import ZeroRecord, means_are_removed
@@ -106,6 +107,7 @@ def reduce_record(
     errors_known = calibration is None or calibration.errors_known
     notes = record.azimuth.notes if errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
     loads = _combine_loads(record, mean_solution, harmonic_solution, source, geometry)
+    added_mass = undeclared_mass(record, geometry, source, problem, harmonic_solution)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     static = None if calibration is None else nearest_trim(calibration, loads)
     trust = assess_trust(ReducedRecord(record, geometry, source, static, response, problem, harmonic_solution, sigma))
@@ -113,7 +115,7 @@ def reduce_record(
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
     further = filter(None, [mean_solution.note, source.note if isinstance(source, ResponseWithoutModel) else ""])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
-    loads = replace(loads, wrong_channels=trust.wrong_channels or None)
+    loads = replace(loads, wrong_channels=trust.wrong_channels or None, undeclared_mass=added_mass)
     loads = _flag_pair_gains(_with_changes(loads, trust.mean_change, trust.harmonic_error), gains)
     if static is not None:
         loads = _flag_implausible(loads, static)

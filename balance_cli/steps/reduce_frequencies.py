@@ -20,6 +20,7 @@ from balance_cli.reduction.response_sources import ResponseSource, at_rotor_spee
 from balance_cli.reduction.result import CheckErrors, RunLoads
 from balance_cli.reduction.rotor_record import count_cycles, tone_record
 from balance_cli.reduction.tone_frequency import ToneTurn, tone_turn
+from balance_cli.reduction.undeclared_mass import join_harmonics_of_masses
 from balance_cli.reduction.wind_off import ZeroRecord
 from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
 from balance_cli.signals.run_samples import sample_rate
@@ -88,7 +89,9 @@ def _join_tones(parts: Sequence[RunLoads]) -> RunLoads:
     notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
     interval = (max(part.interval[0] for part in parts), min(part.interval[1] for part in parts))
     unnoticed = join_harmonics([part.unnoticed for part in parts])
-    joined = replace(first, **stacked, flags=flags, notes=notes, interval=interval, unnoticed=unnoticed)
+    added = join_harmonics_of_masses([part.undeclared_mass for part in parts])
+    errors: dict[str, Any] = {"unnoticed": unnoticed, "undeclared_mass": added}
+    joined = replace(first, **stacked, **errors, flags=flags, notes=notes, interval=interval)
     return flag_scale_contradiction(replace(joined, check=_join_checks(parts) if first.check is not None else None))
 
 

@@ -92,7 +92,7 @@ def _steady_turn(values: ComplexArray) -> CommonTurn | None:
     phasor, share = product[is_clear] / np.abs(product[is_clear]), coherence[is_clear]
     order = np.repeat(np.arange(1, n + 1)[:, None], values.shape[2], axis=1)[is_clear]
     turn = float(_best_turn(phasor[None, :], order)[0])
-    error = np.sqrt((1.0 / share**2 - 1.0) / (2.0 * (count - 1)))
+    error = np.sqrt(np.maximum(1.0 / share**2 - 1.0, 0.0) / (2.0 * (count - 1)))
     missed = np.abs(np.angle(phasor * np.exp(-1j * order * turn)))
     is_alike = missed <= ALIKE_DEPARTURE * order * abs(turn) + NOISE_LIMIT * error
     is_known = np.abs(np.angle(phasor)) > NOISE_LIMIT * error

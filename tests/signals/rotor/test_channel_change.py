@@ -133,3 +133,10 @@ def test_harmonics_of_the_blades_alone_are_steady_and_their_turns_are_found(orde
         steps = 0.01 * np.arange(WINDOWS)[:, None] * np.arange(1, HARMONICS + 1)
         turn = common_turn(values * np.exp(1j * steps)[:, :, None], np.ones((HARMONICS, CHANNELS)), sigma)
         assert turn is not None and turn.is_steady and turn.turn == pytest.approx(0.01, rel=0.1)
+
+
+def test_amplitudes_without_noise_have_a_coherence_of_one():
+    """Rounding put it above one, and the square root of what is missing had no value."""
+    values = np.repeat(amplitudes(noise=0.0)[0][:1], WINDOWS, axis=0)
+    with np.errstate(invalid="raise"):
+        assert common_turn(values, np.ones((HARMONICS, CHANNELS)), np.full((HARMONICS, CHANNELS), 1e-12)) is None
