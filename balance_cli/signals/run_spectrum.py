@@ -52,7 +52,7 @@ class RecordDrift:
     """Changes of gain and delay [s] of c channels against the loads, from the first half of a record to the last.
 
     `change` (2, c) with `covariance` (2, c, c), estimated with `dof` complex degrees of freedom. `signal_to_noise` (c,)
-    is the power of each channel over that of its noise.
+    is the power of each channel over that of its noise, zero where noise would pass for a drift.
     """
 
     change: Array

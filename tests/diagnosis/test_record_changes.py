@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.diagnosis.causes import equal_effects, judge_number_of_causes
 from balance_cli.diagnosis.conclusions import judge_drifts
 from balance_cli.diagnosis.data_tests.channel_drifts import ChannelFit, channel_drift_tests
@@ -20,6 +20,7 @@ from balance_cli.diagnosis.result import (
 )
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from tests.support.diagnosis_content import delay_effect, diagnosis
 from tests.support.rigs import rotor_balance
@@ -215,6 +216,23 @@ def test_what_local_models_leave_of_a_response_is_no_drift(size, place):
     runs = random_sweeps(5, factor=1e3)
     runs = [drifting(run, "y1.piezo", lambda x, time, share: x * (1.0 - size * share)) for run in runs]
     assert random_row(runs).place == place
+
+
+@pytest.mark.parametrize(("noise", "tells"), [(1e-3, False), (1e-6, True)])
+def test_a_swept_sine_does_not_tell_a_drift_below_its_noise(noise, tells):
+    """Its local models leave of the ramp what noise makes of it: sound sweeps had p of 1e-33 by their numbers."""
+    rng, rate, count = np.random.default_rng(3), 200.0, 2000
+    time, frequency = np.arange(count) / rate, np.fft.rfftfreq(2 * count, 1.0 / rate)
+    load = np.sin(2 * np.pi * (5.0 * time + 3.75 * time**2)) * np.clip(np.minimum(time, 10.0 - time), 0.0, 1.0)
+    modes = [1.0 / (1.0 - (frequency / f) ** 2 + 0.04j * frequency / f) for f in (22.0, 31.0, 47.0)]
+    channels = np.stack([np.fft.irfft(np.fft.rfft(load, 2 * count) * mode)[:count] for mode in modes], axis=1)
+    loads = np.column_stack([load + noise * rng.standard_normal(count), np.zeros((count, 5))])
+    source = MemorySource(channels + noise * rng.standard_normal(channels.shape), loads)
+    names = ("a", "b", "c")
+    run = Run("sweep", "rig", "sweep", names, count, source, True, rate, excited=("Fx",), excitation="sine-sweep")
+    drift = nonperiodic_spectrum(replace(run, level=(0.7,)), names).drift
+    assert bool(np.max(drift.signal_to_noise) > 0.0) == tells
+    assert not tells or np.max(np.abs(drift.change[0])) < 2e-4
 
 
 def test_noise_that_channels_have_in_common_is_no_drift():
