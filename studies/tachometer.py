@@ -10,7 +10,8 @@ import numpy as np
 import scipy.signal
 from scipy.ndimage import uniform_filter1d
 
-from balance_cli.signals.rotor.tachometer import AnalogLowPass, TachometerSettings, read_rotor_reference
+from balance_cli.signals.rotor.low_pass_lag import AnalogLowPass
+from balance_cli.signals.rotor.tachometer import TachometerSettings, read_rotor_reference
 from balance_cli.simulation.rotor import RotorKinematics
 
 PAGE = Path(__file__).parents[1] / "docs" / "import.md"

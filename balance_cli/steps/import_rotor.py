@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.import_map import MappedRotor
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import FREQUENCY, parse_unit
+from balance_cli.signals.rotor.low_pass_lag import AnalogLowPass
 from balance_cli.signals.rotor.tachometer import (
-    AnalogLowPass,
     RotorReference,
     TachometerSettings,
     read_rotor_reference,

@@ -61,7 +61,9 @@ def record_drift(models: LocalModels) -> RecordDrift:
     return RecordDrift(
         change=value / 2.0,
         covariance=score.swapaxes(1, 2) @ score / 4.0 + model_error[:, :, None] * np.eye(size.shape[1]),
-        signal_to_noise=np.where(ramp > np.where(ramp > MOST_OF_RAMP * power, LEAST_RAMP, LEAST_SMALL_RAMP), power, 0.0),
+        signal_to_noise=np.where(
+            ramp > np.where(ramp > MOST_OF_RAMP * power, LEAST_RAMP, LEAST_SMALL_RAMP), power, 0.0
+        ),
         dof=float(len(residual)),
     )
 

@@ -12,6 +12,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.counts import COUNTS_REMEDY, revolution_crossings
 from balance_cli.signals.rotor.edges import (
+    EXTREME_SHARE,
     Edges,
     Levels,
     ReadSamples,
@@ -19,6 +20,7 @@ from balance_cli.signals.rotor.edges import (
     find_levels,
     is_ramp,
 )
+from balance_cli.signals.rotor.low_pass_lag import AnalogLowPass, PulseShape, edge_delay, step_delay
 from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
 
 Array = NDArray[np.float64]
@@ -37,18 +39,14 @@ RESOLVED_SAMPLES = 2.5
 """The same, below which pulses that come faster than half the sample rate look nearly alike."""
 MOST_EXAMINED = 2**16
 """Samples by which an angle is told from pulses: a minute at 1 kHz."""
+WIDTH_ERROR = 0.02
+"""Samples by which the length of a short pulse is wrong: pulses of 1 to 6 ms at 512 to 1000 Hz had 0.01 to 0.03."""
+SMALL_DOUBT = 0.1
+"""Azimuth [deg] that is not worth a word: 8/rev turns by 1.4 % in it."""
 NEIGHBORS = 9
 """Intervals of the running median."""
 PULSES_REMEDY = "Correct `level`, `slope` or `pulses_per_revolution`"
 INDEX_REMEDY = "Correct `pulses_per_revolution` and `index`, or give another tachometer channel"
-
-
-@dataclass(frozen=True)
-class AnalogLowPass:
-    """A Butterworth low-pass that the tachometer passed before it was sampled: order and cutoff [Hz]."""
-
-    order: int
-    cutoff: float
 
 
 @dataclass(frozen=True)
@@ -158,11 +156,38 @@ def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: Tachome
         notes.append("high and low state are about equally long: state `slope` if azimuth 0 is at the falling edges")
     times, more = _once_per_revolution(leading, trailing, settings, rate)
     if settings.low_pass is not None:
-        share = levels.share if rising else 1.0 - levels.share
-        lag = _low_pass_lag(settings.low_pass, share)
-        times = times - lag
-        more.append(f"the low-pass of the tachometer delays its edges by {1e3 * lag:.4g} ms, which was taken out")
+        indices = times if settings.index != "none" else leading
+        pulse = _pulse_shape(indices, trailing, levels.share if rising else 1.0 - levels.share)
+        lag = edge_delay(settings.low_pass, pulse)
+        times = times - (step_delay(settings.low_pass, pulse.share) if lag is None else lag)
+        more.append(_say_lag(settings.low_pass, pulse, lag, rate, float(np.median(np.diff(times)))))
     return times, notes + more
+
+
+def _pulse_shape(starts: Array, trailing: Array, share: float) -> PulseShape:
+    """The pulses that begin at some edges, by medians; between two of them the signal is low as before the pulse."""
+    after = np.searchsorted(trailing, starts)
+    sound = (after > 0) & (after < len(trailing))
+    starts, after = starts[sound], after[sound]
+    width, pause = np.median(trailing[after] - starts), np.median(starts - trailing[after - 1])
+    return PulseShape(float(width), float(width + pause), share, EXTREME_SHARE)
+
+
+def _say_lag(low_pass: AnalogLowPass, pulse: PulseShape, lag: float | None, rate: float, revolution: float) -> str:
+    """What is known of the delay of the edges, of samples at `rate` [Hz] and revolutions that last `revolution` [s]."""
+    if lag is None:
+        return (
+            f"its pulses of {1e3 * pulse.width:.3g} ms are shorter than a low-pass of order {low_pass.order} and "
+            f"{low_pass.cutoff:g} Hz lets them be; the delay of a step was taken out: does the tachometer pass the "
+            "`filter` of the map?"
+        )
+    said = f"the low-pass of the tachometer delays its edges by {1e3 * lag:.4g} ms, which was taken out"
+    others = [edge_delay(low_pass, replace(pulse, width=pulse.width + sign * WIDTH_ERROR / rate)) for sign in (1, -1)]
+    doubt = max((360.0 * abs(other - lag) / revolution for other in others if other is not None), default=0.0)
+    if doubt < SMALL_DOUBT:
+        return said
+    known = f"its pulses are hardly longer than it lets them be, and the azimuth is known to {doubt:.2g} deg only"
+    return f"{said}; {known}: a longer mark, or a tachometer sampled faster, would tell it better"
 
 
 def _refuse_angle(signal: Array) -> None:
@@ -254,16 +279,3 @@ def _wide_pulses(leading: Array, trailing: Array, count: int) -> tuple[Array, li
     if found < 3:
         raise UserError(f"has only {found} pulses of another width", place="tachometer", remedy=INDEX_REMEDY)
     return starts[index], []
-
-
-def _low_pass_lag(low_pass: AnalogLowPass, share: float) -> float:
-    """Time [s] after a step at which the filtered step has passed `share` of it."""
-    from scipy.signal import butter  # its import takes longer than a reduction, and few records have such a filter
-
-    _, poles, gain = butter(low_pass.order, 2.0 * np.pi * low_pass.cutoff, analog=True, output="zpk")
-    residues = np.array([gain / np.prod(pole - np.delete(poles, i)) for i, pole in enumerate(poles)])
-    time = np.linspace(0.0, (2.0 + low_pass.order) / low_pass.cutoff, 20001)
-    response = 1.0 + (np.exp(time[:, None] * poles) @ (residues / poles)).real
-    k = int(np.argmax(response >= share))
-    below, above = response[k - 1], response[k]
-    return float(time[k - 1] + (share - below) / (above - below) * (time[k] - time[k - 1]))

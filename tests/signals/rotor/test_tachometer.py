@@ -7,8 +7,9 @@ from scipy.ndimage import uniform_filter1d
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor import edges
+from balance_cli.signals.rotor.low_pass_lag import AnalogLowPass
 from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
-from balance_cli.signals.rotor.tachometer import AnalogLowPass, TachometerSettings, read_rotor_reference
+from balance_cli.signals.rotor.tachometer import TachometerSettings, read_rotor_reference
 from balance_cli.simulation.rotor import RotorKinematics
 
 ROTOR = RotorKinematics(17.5, drift=0.01)
@@ -62,6 +63,26 @@ def test_the_low_pass_would_shift_the_azimuth():
 def test_pulses_without_noise_are_found_between_the_samples():
     samples, low_pass = signal(20000.0, pulse(), noise=0.0)
     assert np.abs(azimuth_errors(reference(samples, 20000.0, low_pass=low_pass).pulse_times)).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("width", "cutoff", "largest"), [(0.15, 100.0, 0.15), (0.92, 100.0, 0.4), (0.1, 50.0, 0.6), (0.4, 100.0, 0.1)]
+)
+def test_pulses_as_short_as_the_response_of_their_low_pass(width, cutoff, largest):
+    """By the delay of a step they were 1, 8 and 17 deg off; a pause is as good as a pulse."""
+    shape = (lambda psi: psi % 1.0 < width) if width < 0.5 else (lambda psi: psi % 1.0 > 1.0 - width)
+    samples, low_pass = signal(500.0, shape, noise=0.002, duration=12.0, cutoff=cutoff)
+    found = reference(samples, 500.0, low_pass=low_pass, slope="rising")
+    expected = 0.0 if width < 0.5 else 360.0 * (1.0 - width)
+    inner = azimuth_errors(found.pulse_times)[10:-10]
+    assert abs(np.mean(inner) - expected) < largest
+    assert any("hardly longer" in note for note in found.notes) == (width in (0.92, 0.1))
+
+
+def test_pulses_shorter_than_their_low_pass_lets_them_be():
+    samples, _ = signal(2000.0, pulse(0.02), duration=4.0)
+    found = reference(samples, 2000.0, low_pass=AnalogLowPass(6, 100.0))
+    assert any("does the tachometer pass the `filter` of the map?" in note for note in found.notes)
 
 
 def test_a_keyway_is_a_pulse_downward():
