@@ -206,7 +206,7 @@ def _complete(
             second = rotor_reference(finder, mapping.rotor2, timeline, "rotor2")
             notes += [f"rotor2: {note}" for note in (f"mean rate {second.mean_rate:.6g} Hz", *second.notes)]
             run = _with_second_rotor(run, second)
-    if run.kind == "sweep" and run.excited and not run.level and run.has_loads:
+    if run.kind == "sweep" and run.excited and not run.level and (run.has_loads or _has_forces_only(run)):
         run = replace(run, level=_rms_levels(run))
         notes.append(f"level of the excitation, rms over the record: {', '.join(f'{x:.4g}' for x in run.level)}")
     start = None if timeline is None else timeline.start
@@ -258,12 +258,28 @@ def _hit_notes(run: Run) -> list[str]:
     return [f"{name}: {note}" for name, note in zip(run.excited, notes, strict=True)]
 
 
+def _has_forces_only(run: Run) -> bool:
+    """Whether the excited components are forces, and their only record is that of forces at points."""
+    points = None if run.additions is None else run.additions.load_points
+    return points is not None and not points.are_named_only and set(run.excited) <= set(COMPONENTS[:3])
+
+
 def _rms_levels(run: Run) -> tuple[float, ...]:
     """Root mean square [N, N m] of the excited loads about their means."""
     sums, squares = np.zeros(len(COMPONENTS)), np.zeros(len(COMPONENTS))
-    for block in run.blocks(BLOCK):
-        assert block.loads is not None
-        sums += block.loads.sum(axis=0)
-        squares += (block.loads**2).sum(axis=0)
+    for start in range(0, run.samples, BLOCK):
+        loads = _recorded_loads(run, start, min(start + BLOCK, run.samples))
+        sums += loads.sum(axis=0)
+        squares += (loads**2).sum(axis=0)
     rms = np.sqrt(np.maximum(squares / run.samples - (sums / run.samples) ** 2, 0.0))
     return tuple(float(f"{rms[COMPONENTS.index(name)]:.{LEVEL_DIGITS}g}") for name in run.excited)
+
+
+def _recorded_loads(run: Run, start: int, stop: int) -> Array:
+    """Hub loads (m, 6); without any, the forces at points, whose moments about the hub the map does not tell."""
+    if run.has_loads:
+        loads = run.read(start, stop).loads
+        assert loads is not None
+        return loads
+    assert run.additions is not None
+    return run.additions.hub_loads(np.zeros(3), start, stop)

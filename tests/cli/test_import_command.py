@@ -246,6 +246,19 @@ def test_forces_at_points_temperatures_and_a_second_rotor(tmp_path):
     assert parts.azimuth_error_deg < 0.1
 
 
+def test_the_level_of_a_force_at_a_point_is_measured(tmp_path):
+    """A stinger beside the hub is a sweep without hub loads; the moment about the hub is not known to the map."""
+    time = np.arange(2000) / 500.0
+    rows = np.column_stack([time, np.sin(40.0 * time), 5.0 * np.sin(30.0 * time)])
+    np.savetxt(tmp_path / "stinger.csv", rows, delimiter=",", header="t [s],B1 [V],force [N]", comments="")
+    point = {"channel": "force", "position": [0.1, 0.0, 0.4], "direction": [0.6, 0.0, 0.8], "name": "P1"}
+    mapping = {"format": "balance-import/1", "rig": "R", "time": "t", "channels": {"B1": "z1.strain"}}
+    mapping |= {"load_points": [point]}
+    mapping["runs"] = [{"file": "*", "run": "s", "kind": "sweep", "excited": "Fz", "excitation": "random"}]
+    run_import(tmp_path, mapping, tmp_path / "stinger.csv")
+    assert open_run(tmp_path / "runs" / "s.h5").level == pytest.approx((0.8 * 5.0 / np.sqrt(2.0),), rel=0.02)
+
+
 def test_a_slow_temperature_sets_neither_rate_nor_length(tmp_path):
     rotor = write_wind_hdf5(tmp_path / "record")
     with h5py.File(tmp_path / "record", "r+") as file:
