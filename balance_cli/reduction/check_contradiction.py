@@ -7,7 +7,7 @@ rotor that the model lacks changed moments of a hexapod by 37 %, with a sigma of
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,19 +122,41 @@ def flag_beyond_sweeps(loads: RunLoads, source: ResponseSource) -> RunLoads:
 
 
 def flag_by_turbulence(loads: RunLoads, record: RotorRecord, geometry: Geometry, source: ResponseSource) -> RunLoads:
-    """Return the loads of a wind run with those flagged that modes make wrong, which turbulence shows elsewhere."""
-    if record.run.kind != "wind" or source.system is None or _speed_varies(record):
-        return loads
-    from balance_cli.reduction.moved_modes import NOTABLE_SHARE, moved_modes
-    from balance_cli.reduction.operational_modes import operational_modes
+    """Return the loads of a wind run with those flagged that modes make wrong, which turbulence shows elsewhere.
 
+    What that makes wrong by less is in the sigma of the others.
+    """
+    if record.run.kind != "wind" or _speed_varies(record):
+        return loads
+    from balance_cli.reduction.moved_modes import NOTABLE_SHARE, mode_shapes, moved_modes
+    from balance_cli.reduction.operational_modes import modes_near
+
+    shapes = mode_shapes(record, source)
+    if shapes is None:
+        return loads
     azimuths = (record.azimuth, *record.other_rotors)
-    moved = moved_modes(operational_modes(record, source.system, geometry.acquisition, azimuths))
+    moved = moved_modes(modes_near(record, shapes, geometry.acquisition, azimuths))
     if moved is None:
         return loads
-    wrong = moved.error_share(loads.frequency_hz) > NOTABLE_SHARE
-    rows = np.repeat(wrong[:, None], loads.amplitude.shape[1], axis=1)
-    return loads.with_flag(MODEL_CONTRADICTED, moved.sentence, where=rows)
+    share = moved.error_share(loads.frequency_hz)[1:, None]
+    rows = np.zeros(loads.amplitude.shape, bool)
+    rows[1:] = share > NOTABLE_SHARE
+    return _with_error(loads, share).with_flag(MODEL_CONTRADICTED, moved.sentence, where=rows)
+
+
+def _with_error(loads: RunLoads, share: Array) -> RunLoads:
+    """Return the loads with an error in sigma that is a share (n, 1) of each, and of the rms of forces or moments.
+
+    Modes couple the loads of one kind: one that is small beside others is wrong by a share of these.
+    """
+    error, size = np.zeros(loads.amplitude.shape), np.abs(loads.amplitude[1:])
+    for kind in ("F", "M"):
+        of_kind = [j for j, name in enumerate(loads.components) if name.startswith(kind)]
+        if of_kind:
+            rms = np.sqrt(np.mean(size[:, of_kind] ** 2, axis=1, keepdims=True))
+            error[1:, of_kind] = share * np.maximum(size[:, of_kind], rms)
+    cosine, sine = (np.hypot(sigma, error) for sigma in (loads.sigma_cosine, loads.sigma_sine))
+    return replace(loads, sigma_cosine=cosine, sigma_sine=sine)
 
 
 def _speed_varies(record: RotorRecord) -> bool:

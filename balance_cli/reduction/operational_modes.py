@@ -66,6 +66,8 @@ CONVERGED = 1e-3
 """Gain of log-likelihood in a step of the fit below which it ends: it moves the frequency by a twentieth of sigma."""
 RIDGE = 1e-9
 """Of the information, so that it is regular where the floor or the force vanishes; steps change by no more than it."""
+USUAL_DAMPING = 0.01
+"""Damping ratio of a mode where that of the model is not known."""
 _WINDOW = np.kaiser(512, WINDOW_SHAPE)
 TAPER_FACTOR = float(512 * np.sum(_WINDOW**4) / np.sum(_WINDOW**2) ** 2)
 """Variance of an estimate from a record under the window over that without (Dahlhaus, Ann. Stat. 16, 1988, 808)."""
@@ -75,11 +77,24 @@ TAPER_FACTOR = float(512 * np.sum(_WINDOW**4) / np.sum(_WINDOW**2) ** 2)
 class OperationalModes:
     """Modes of one run: `predicted` (m,) [Hz] of the model at its rotor speed, `frequency` and `sigma` (m,) [Hz].
 
-    The latter are NaN where nothing shows the mode.
+    The latter are NaN where nothing shows the mode. `damping_ratio` (m,) is that of the model.
     """
 
     predicted: Array
     frequency: Array
+    sigma: Array
+    damping_ratio: Array | float = USUAL_DAMPING
+
+
+@dataclass(frozen=True)
+class ModeShapes:
+    """Eigenvalues s (m,) [1/s] of a balance in the upper half plane, and `volts` (c, m) of the live channels.
+
+    `sigma` (m,) [1/s] is the standard deviation of each eigenvalue.
+    """
+
+    s: ComplexArray
+    volts: ComplexArray
     sigma: Array
 
 
@@ -90,20 +105,33 @@ def operational_modes(
 
     `azimuths` are those of all rotors, whose harmonics are left out. The frequency is that of the undamped oscillator.
     """
+    return modes_near(record, shapes_of_model(record, system), acquisition, azimuths)
+
+
+def shapes_of_model(record: RotorRecord, system: System) -> ModeShapes:
+    """Return the modes of a model at the rotor speed of a record, as its live channels read them."""
+    columns = [system.channel_names.index(name) for name in record.health.live]
+    modes = transient_modes(system, record.spin, 0.45 * sample_rate(record.run), with_derivatives=False)
+    s, volts = modes.s[: modes.oscillating], modes.volts[columns, : modes.oscillating]
+    return ModeShapes(s, volts, np.zeros(len(s)))
+
+
+def modes_near(
+    record: RotorRecord, shapes: ModeShapes, acquisition: Acquisition, azimuths: Sequence[Azimuth]
+) -> OperationalModes:
+    """Return the eigenfrequencies of one run near given ones, as `operational_modes`; sigma is that of both."""
     run = record.run
     first, last = (int(t * sample_rate(run)) for t in record.spectra.interval)
     last = first + _fast_length(last - first)
-    names = record.health.live
-    columns = [system.channel_names.index(name) for name in names]
-    modes = transient_modes(system, record.spin, 0.45 * sample_rate(run), with_derivatives=False)
-    s, volts = modes.s[: modes.oscillating], modes.volts[columns, : modes.oscillating]
+    names, s = record.health.live, shapes.s
     frequency, spectra = tapered_spectra(read_channels(run, names, first, last), sample_rate(run))
     noise = np.sqrt(channel_noise(CleanRecord(run, names, ((first, last),)), acquisition))
     usable = between_harmonics(frequency, azimuths, record.spectra.interval)
-    over_noise = volts / noise[:, None]
+    over_noise = shapes.volts / noise[:, None]
     estimates = [_estimate_mode(k, s, over_noise, noise, frequency, spectra, usable) for k in range(len(s))]
     values = np.array(estimates, float).reshape(-1, 2)
-    return OperationalModes(np.abs(s) / (2.0 * np.pi), values[:, 0], values[:, 1])
+    sigma = np.hypot(values[:, 1], shapes.sigma / (2.0 * np.pi))
+    return OperationalModes(np.abs(s) / (2.0 * np.pi), values[:, 0], sigma, -s.real / np.abs(s))
 
 
 def _fast_length(samples: int) -> int:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.transient_modes import transient_modes
 from balance_cli.reduction.harmonic_loads import harmonic_loads
@@ -11,14 +10,12 @@ from balance_cli.reduction.measured_response import TransferSource
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.rotor_record import rotor_record
 from balance_cli.signals.response.response_poles import response_poles
-from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.simulation import Noise, simulate_run, true_rig
 from balance_cli.steps.identify import IdentifyOptions, identify
+from tests.support.measured_source import measured_responses
 from tests.support.other_rigs import other_rig, short_campaign
 
 RIG = other_rig("D")
-NOISE = 1e-4
-"""Of a line, over the largest of the channel."""
 
 
 @pytest.fixture(scope="module")
@@ -28,20 +25,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def measured(model):
-    """The response to each load at lines 1 Hz apart, more than the width of most modes, with noise."""
-    frequency, rng = np.arange(1.0, 161.0), np.random.default_rng(5)
-    exact, names = model.at(frequency, 0.0), RIG.channel_names
-    responses = []
-    for j, name in enumerate(COMPONENTS):
-        sigma = NOISE * np.abs(exact[:, :, j]).max(axis=0)
-        noise = sigma * (rng.standard_normal((2, len(frequency), len(names))).T @ [1.0, 1j]).T / np.sqrt(2.0)
-        shape = (len(frequency), len(names), 1)
-        covariance = np.broadcast_to(np.diag(sigma**2).astype(complex), (*shape[:2], len(names)))
-        unit = np.ones((len(frequency), 1, 1), complex)
-        value = (exact[:, :, j] + noise)[:, :, None]
-        args = ("periodic", frequency, value, covariance, unit, np.ones(shape), np.ones(shape[:2]))
-        responses.append(FrequencyResponse(f"sweep-{name}", names, (name,), *args))
-    return TransferSource(names, tuple(responses), "local")
+    return measured_responses(model, RIG)
 
 
 def test_measured_responses_tell_the_modes_and_nothing_else(model, measured):

@@ -44,11 +44,16 @@ def response_poles(responses: Sequence[FrequencyResponse]) -> tuple[complex, ...
 
     Each mode is taken from the response that determines it best. A mode that none determines is missing.
     """
-    found = [pole for response in responses for pole in determined_poles(response)]
-    modes: list[complex] = []
-    for pole in sorted(found, key=lambda pole: -pole.sigma / pole.s.real):
-        if all(abs(pole.s - other) > SAME_MODE * min(-pole.s.real, -other.real) for other in modes):
-            modes.append(pole.s)
+    return tuple(pole.s for _, pole in best_poles(responses))
+
+
+def best_poles(responses: Sequence[FrequencyResponse]) -> tuple[tuple[FrequencyResponse, ResponsePole], ...]:
+    """Return the pole of each mode with the response that determines it best."""
+    found = [(response, pole) for response in responses for pole in determined_poles(response)]
+    modes: list[tuple[FrequencyResponse, ResponsePole]] = []
+    for response, pole in sorted(found, key=lambda item: -item[1].sigma / item[1].s.real):
+        if all(abs(pole.s - other.s) > SAME_MODE * min(-pole.s.real, -other.s.real) for _, other in modes):
+            modes.append((response, pole))
     return tuple(modes)
 
 
