@@ -12,13 +12,22 @@ from typing import Annotated
 import numpy as np
 
 from balance_cli.api.arguments import Range, check_arguments
-from balance_cli.api.inputs import GeometryLike, RunLike, require_band, require_disjoint, to_geometry, to_runs
+from balance_cli.api.fitted import FittedLike, to_fitted
+from balance_cli.api.inputs import (
+    GeometryLike,
+    RunLike,
+    require_band,
+    require_disjoint,
+    to_geometry,
+    to_runs,
+)
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL, choice_of_words, require_known_names
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.diagnosis.consistency.severity import identified_anyway, measured_anyway
 from balance_cli.estimation.choices import Damping, Form, Method
 from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.estimation.measured_responses import add_responses
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import check_effects
 from balance_cli.model.placed_effects import add_effects
@@ -27,7 +36,7 @@ from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps import calibrate as calibrate_step
 from balance_cli.steps import identify as identify_step
 from balance_cli.steps import sweep_tf as sweep_tf_step
-from balance_cli.steps.cross_checks import cross_check, keep_findings
+from balance_cli.steps.cross_checks import cross_check, cross_check_responses, keep_findings
 from balance_cli.steps.trim_agreement import trim_findings
 
 
@@ -103,7 +112,7 @@ def frequency_response(
 
 @check_arguments
 def identify(
-    runs: RunLike | Iterable[RunLike],
+    runs: FittedLike | Iterable[FittedLike],
     geometry: GeometryLike,
     *,
     effects: Sequence[str] = (),
@@ -114,6 +123,7 @@ def identify(
 ) -> IdentifiedModel:
     """Identify a mechanical model from sweeps and static runs, as `balance identify` does.
 
+    Frequency responses of `frequency_response`, or imported ones, may stand in place of the sweeps.
     `effects` are fitted beside those that the geometry declares, each written NAME@PLACE,PLACE. With
     `method="computed"` the model is the geometry as declared, and no run is needed. Raises UserError where the runs do
     not allow the fit, or contradict the geometry or each other.
@@ -133,6 +143,8 @@ def identify(
     check_effects(rig, rig.name)
     rig = add_effects(rig, effects)
     options = identify_step.IdentifyOptions(method=method, form=form, damping=damping, band=band)
-    records = to_runs(runs, rig)
+    records, responses = to_fitted(runs, rig)
     findings = cross_check(rig, records, identified_anyway)
-    return keep_findings(identify_step.identify(measured_spectra(records, rig), rig, options), findings)
+    findings = (*findings, *cross_check_responses(rig, responses, identified_anyway))
+    spectra = add_responses(measured_spectra(records, rig), responses)
+    return keep_findings(identify_step.identify(spectra, rig, options), findings)

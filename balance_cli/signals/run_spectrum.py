@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -145,6 +145,10 @@ class FrequencyResponse:
     `channel_covariance` (k, c, c), so that var(response[:, i, j]) = channel_covariance[:, i, i] *
     load_covariance[:, j, j]. `coherence` (k, c, u) is the ordinary coherence, with one input; `multiple_coherence`
     (k, c) is that with all inputs.
+
+    `noise_dof`: complex degrees of freedom with which its covariance was estimated, infinite where it was stated.
+    `line_share` (k,): share of each line that is independent of its neighbors, in the sense that as many lines as the
+    shares add up to tell as much; None where all are independent. Artefacts of versions up to 0.1 have neither.
     """
 
     run: str
@@ -159,6 +163,14 @@ class FrequencyResponse:
     multiple_coherence: Array
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
+    noise_dof: float | None = field(default=None, metadata={"omit_if_none": True})
+    line_share: Array | None = field(default=None, metadata={"omit_if_none": True})
+
+    def select(self, keep: NDArray[np.bool_]) -> FrequencyResponse:
+        """Return the response at the selected lines (k,)."""
+        names = ("frequency", "response", "channel_covariance", "load_covariance", "coherence", "multiple_coherence")
+        share = None if self.line_share is None else self.line_share[keep]
+        return replace(self, **{name: getattr(self, name)[keep] for name in names}, line_share=share)
 
     @cached_property
     def window_models(self) -> dict[bytes, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -12,6 +12,9 @@ from balance_cli.diagnosis.consistency.findings import COPIED_RECORD, Consistenc
 from balance_cli.diagnosis.consistency.severity import ConsequenceRule, findings_for_command
 from balance_cli.io.errors import UserError
 from balance_cli.signals.nyquist_noise import UsualNoise
+
+if TYPE_CHECKING:
+    from balance_cli.estimation.measured_responses import MeasuredResponses
 
 REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
 
@@ -41,6 +44,22 @@ def cross_check(
     for finding in findings:
         if finding.is_fault:
             raise contradiction_error(finding, {run.name: run.file for run in runs})
+    return findings
+
+
+def cross_check_responses(
+    geometry: Geometry, items: Sequence[MeasuredResponses], is_harmless: ConsequenceRule
+) -> tuple[ConsistencyFinding, ...]:
+    """Cross-check the measured responses of a step with a geometry with mechanics, as `cross_check` does."""
+    if not items:
+        return ()
+    from balance_cli.steps.frf_checks import response_findings
+
+    findings = response_findings([item.transfer for item in items], geometry, is_harmless)
+    for finding in findings:
+        if finding.is_fault:
+            files = {response.run: item.file for item in items for response in item.transfer.responses}
+            raise contradiction_error(finding, files)
     return findings
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.campaign.rig.load_components import carried_components
 from balance_cli.diagnosis.consistency.campaign import findings_from_rows
 from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
-from balance_cli.diagnosis.consistency.severity import findings_for_command, measured_anyway
+from balance_cli.diagnosis.consistency.severity import ConsequenceRule, findings_for_command, measured_anyway
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.measured_response import transfer_source
 from balance_cli.signals.response.choices import INTERPOLATIONS
@@ -34,12 +34,19 @@ def geometry_findings(transfer: Transfer) -> tuple[ConsistencyFinding, ...]:
     """
     if missing_mechanics(transfer.geometry):
         return ()
-    rows = [part for response in transfer.responses for part in _rows(response, transfer.geometry)]
-    findings = findings_for_command(findings_from_rows(transfer.geometry, rows, {}), measured_anyway)
+    findings = response_findings((transfer,), transfer.geometry, measured_anyway)
     for finding in findings:
         if finding.is_fault:
             raise UserError(finding.sentence, place="references" if finding.components else "responses", remedy=REMEDY)
     return findings
+
+
+def response_findings(
+    transfers: Sequence[Transfer], geometry: Geometry, is_harmless: ConsequenceRule
+) -> tuple[ConsistencyFinding, ...]:
+    """Return what the cross-checks of sweeps say of measured responses and a geometry with mechanics."""
+    rows = [part for item in transfers for response in item.responses for part in _rows(response, geometry)]
+    return findings_for_command(findings_from_rows(geometry, rows, {}), is_harmless)
 
 
 def static_findings(

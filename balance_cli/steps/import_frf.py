@@ -14,20 +14,19 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.importers.frf.functions import FrfFile, FrfFunction
 from balance_cli.importers.frf.variables import Variables
 from balance_cli.io.errors import UserError
+from balance_cli.signals.response.choices import IMPORTED
 from balance_cli.signals.response.point_forces import PointForce
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.steps.frf_conventions import load_multiples, require_causal
 from balance_cli.steps.frf_lines import CommonLines, Curve, common_lines
 from balance_cli.steps.frf_matching import MatchedFunction, match_functions
-from balance_cli.steps.frf_uncertainty import coherence_of, response_variance
+from balance_cli.steps.frf_uncertainty import coherence_of, line_share, response_noise
 from balance_cli.steps.frf_units import Conversion, apply_conversions, convert_reference, convert_response
 from balance_cli.steps.sweep_tf import add_point_responses, with_contradictions
 
 Array = NDArray[np.float64]
 
-IMPORTED = "imported"
-"""Estimator of responses that another program has estimated."""
 COHERENCE_SLACK = 1e-3
 """By which a coherence may leave its range: rounding, and programs that divide averages of unlike numbers."""
 
@@ -170,9 +169,9 @@ def _frequency_response(item: _Reference, mapping: FrfMap, notes: _Notes) -> Fre
     Where sigma comes from is added to the notes.
     """
     lines = item.lines
-    variance, origin = response_variance(lines, mapping)
-    notes.share(origin, item.name)
-    coherence = coherence_of(lines, variance, mapping.averages)
+    noise = response_noise(lines, mapping)
+    notes.share(noise.origin, item.name)
+    coherence = coherence_of(lines, noise.variance, mapping.averages)
     size = len(lines.channels)
     largest = COMPONENTS[int(np.argmax(np.abs(item.multiples[:3])))] if item.multiples[:3].any() else ""
     component = largest or COMPONENTS[int(np.argmax(np.abs(item.multiples)))]
@@ -183,12 +182,14 @@ def _frequency_response(item: _Reference, mapping: FrfMap, notes: _Notes) -> Fre
         estimator=IMPORTED,
         frequency=lines.frequency,
         response=lines.response[:, :, None],
-        channel_covariance=(variance[:, :, None] * np.eye(size)).astype(complex),
+        channel_covariance=(noise.variance[:, :, None] * np.eye(size)).astype(complex),
         load_covariance=np.ones((len(lines.frequency), 1, 1), complex),
         coherence=coherence[:, :, None],
         multiple_coherence=coherence,
         rotor_speed=mapping.rotor_speed,
         level=(float("nan"),),
+        noise_dof=noise.dof,
+        line_share=line_share(mapping, len(lines.frequency)),
     )
 
 

@@ -43,10 +43,11 @@ def response_from_models(models: LocalModels, estimator: str) -> FrequencyRespon
     s = models.spectrum
     _require_separable_loads(models)
     lines = decimate_lines(s.excited)
-    channel_covariance, load_covariance = _response_covariance(models, lines)
+    channel_covariance, load_covariance, pole_excess = _response_covariance(models, lines)
     response = models.response[lines]
     noise = replace(models.noise, channels=models.noise.channels[lines]).equation_error_covariance(response)
-    ordinary, multiple = coherences(response, noise, local_power(s.loads)[lines])
+    power = local_power(s.loads)[lines]
+    ordinary, multiple = coherences(response, noise, power)
     volts, load = s.channel_scale, s.load_scale
     return FrequencyResponse(
         run=s.run.name,
@@ -61,7 +62,19 @@ def response_from_models(models: LocalModels, estimator: str) -> FrequencyRespon
         multiple_coherence=multiple,
         rotor_speed=s.run.rotor_speed,
         level=s.run.level,
+        noise_dof=models.noise.dof,
+        line_share=_line_share(load_covariance, power, pole_excess, np.count_nonzero(s.excited) / len(lines)),
     )
+
+
+def _line_share(covariance: ComplexArray, power: ComplexArray, pole_excess: Array, decimation: float) -> Array:
+    """Return the share (k,) of each line that is independent of the others.
+
+    It is the variance of the response, `covariance` (k, u, u) times `pole_excess` (k,), over that of a single line of
+    u loads with `power` (k, u, u): the leverage of the line, of which the sum is the number of parameters.
+    """
+    leverage = np.einsum("kuv,kvu->k", covariance, power).real / covariance.shape[1]
+    return np.asarray(np.clip(leverage * pole_excess * decimation, np.finfo(float).eps, 1.0))
 
 
 def _require_separable_loads(models: LocalModels) -> None:
@@ -84,8 +97,10 @@ def _require_separable_loads(models: LocalModels) -> None:
     raise UserError(fault, s.run.file, "loads", f"{remedy}; `identify` needs no response to each")
 
 
-def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
+def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray, Array]:
     """Factors (k, c, c) of the channels and (k, u, u) of the loads of the covariance at the lines `lines` (k,).
+
+    Also returned is the variance with uncertain poles over that with known ones (k,), the mean over the channels.
 
     The response at a line is a weighted sum over the outputs of its window. Its covariance is the same sum over their
     noise, plus the contribution of the uncertainty of the poles, plus what the model misses of the response. With
@@ -93,6 +108,7 @@ def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[
     """
     c, u = models.response.shape[1:]
     channels, loads = np.zeros((len(lines), c, c), complex), np.zeros((len(lines), u, u), complex)
+    pole_excess = np.ones(len(lines))
     for w, fit in enumerate(models.fit):
         start = models.first[w]
         assigned = slice(*np.searchsorted(lines, models.assigned_lines[w]))
@@ -105,12 +121,19 @@ def _response_covariance(models: LocalModels, lines: NDArray[np.intp]) -> tuple[
         channels[assigned] = np.tensordot(share, noise, axes=1)
         if fit.orders.denominator:
             shift = pole_uncertainty(fit, r, noise)
-            channels[assigned] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
+            of_poles = np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
+            pole_excess[assigned] += np.mean(_variances(of_poles) / _variances(channels[assigned]), axis=1)
+            channels[assigned] += of_poles
         missed = missed_response_power(fit, slice(*(models.assigned_lines[w] - start)), noise)
         if missed.any():
             variance = np.diagonal(loads[assigned], axis1=1, axis2=2).real
             channels[assigned] += (missed / variance[:, None, :]).mean(axis=2)[:, :, None] * np.eye(c)
-    return channels, loads
+    return channels, loads, pole_excess
+
+
+def _variances(covariance: ComplexArray) -> Array:
+    """Return the diagonal (k, c) of covariances (k, c, c), above zero."""
+    return np.maximum(np.diagonal(covariance, axis1=1, axis2=2).real, np.finfo(float).tiny)
 
 
 def _load_precision(models: LocalModels, covariance: ComplexArray) -> ComplexArray:

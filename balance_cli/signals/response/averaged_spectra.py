@@ -30,6 +30,9 @@ FEWEST_AVERAGES = 8
 """Segments for which a shorter segment is accepted; the coherence of fewer is biased by more than 1/8."""
 SHORTEST_SEGMENT = 16
 """Samples; a spectrum of seven lines is the least that has a shape."""
+HANN_LINE_SHARE = 18.0 / 35.0
+"""Independent share of neighboring lines: one over the sum of the squared correlations of the lines of Hann windows,
+which is (sum w^2)^2 / (n sum w^4). The error of an averaged cross-spectrum is a product of two spectra."""
 OVERLAP_CORRELATION = (1.0 / 6.0) ** 2
 """Correlation of the powers of neighboring segments: that of Hann windows that overlap by half (Welch)."""
 
@@ -141,6 +144,8 @@ def _response_from_spectra(
         multiple_coherence=multiple,
         rotor_speed=run.rotor_speed,
         level=run.level,
+        noise_dof=K - u,
+        line_share=np.full(len(spectra.frequency), HANN_LINE_SHARE),
     )
 
 

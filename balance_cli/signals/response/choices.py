@@ -7,6 +7,8 @@ from typing import Literal, get_args
 AUTO, PERIODIC, LOCAL_RATIONAL, LOCAL_POLYNOMIAL = "auto", "periodic", "lrm", "lpm"
 AVERAGED_ESTIMATORS = ("h1", "h2", "hv")
 """Estimators from averaged spectra."""
+IMPORTED = "imported"
+"""Estimator of responses that another program has estimated."""
 Estimator = Literal["auto", "periodic", "lrm", "lpm", "h1", "h2", "hv"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 """All estimators; the first is the default."""

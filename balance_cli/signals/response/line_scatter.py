@@ -28,6 +28,8 @@ LEAST_NOISE = 1e-12
 """Of the power of a channel: noise is never so far below it that other channels do not count at all."""
 POOLED_LINES = 7
 """Neighboring lines over which the relative variance is averaged: it is then known to a fifth."""
+SCATTER_DOF = 25.0
+"""Complex degrees of freedom of a variance that is known to a fifth."""
 LEAST_SEEN = 0.05
 """Share of the noise that a fit must leave: lines that a window makes nearly one curve hide it."""
 WINDOW_TERMS = {
@@ -74,14 +76,24 @@ def _pool(values: Array) -> Array:
     return np.stack([np.convolve(column, kernel, "same") / count for column in values.T], axis=1)
 
 
+def independent_share(window: str) -> float:
+    """Return the independent share of neighboring lines of a window: one over the sum of their squared correlations."""
+    return float(1.0 / (2.0 * np.sum(_correlation(window) ** 2) - 1.0))
+
+
+def _correlation(window: str) -> Array:
+    """Return the correlation of the spectrum of a window between lines 0, 1, 2 ... apart, by its terms."""
+    terms = np.array(WINDOW_TERMS[window])
+    spectrum = np.concatenate([terms[:0:-1], terms])
+    return np.asarray(np.correlate(spectrum, spectrum, "full")[len(spectrum) - 1 :] / np.sum(spectrum**2))
+
+
 def _share_seen(window: str, lines: int) -> float:
     """Return the share of the noise of a window that a polynomial through the lines leaves, in the mean.
 
     The error of an averaged cross-spectrum is a product of two spectra, and so is its correlation.
     """
-    terms = np.array(WINDOW_TERMS[window])
-    spectrum = np.concatenate([terms[:0:-1], terms])
-    correlation = np.correlate(spectrum, spectrum, "full")[len(spectrum) - 1 :] / np.sum(spectrum**2)
+    correlation = _correlation(window)
     lag = np.abs(np.subtract.outer(np.arange(lines), np.arange(lines)))
     R = np.where(lag < len(correlation), correlation[np.minimum(lag, len(correlation) - 1)] ** 2, 0.0)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, lines), DEGREE + 1))[0]

@@ -78,6 +78,7 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
         multiple_coherence=multiple,
         rotor_speed=first.rotor_speed,
         level=first.level,
+        noise_dof=float(sum(spectrum.dof for spectrum in spectra)),
     )
 
 

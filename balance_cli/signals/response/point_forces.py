@@ -6,8 +6,10 @@ of them, in directions and at points that span the hub loads, give T = H A^+ at 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +86,15 @@ def _solve(
         coherence=ordinary,
         multiple_coherence=multiple,
         level=_levels(responses, A),
+        noise_dof=_least([item.noise_dof for item in responses]),
+        line_share=_least([item.line_share for item in responses]),
     )
+
+
+def _least(values: Sequence[Any]) -> Any:
+    """Return the least of numbers or arrays, without those that are None; None where all are."""
+    known = [value for value in values if value is not None]
+    return functools.reduce(np.minimum, known) if known else None
 
 
 def _levels(responses: list[FrequencyResponse], A: Array) -> tuple[float, ...]:
@@ -139,8 +149,7 @@ def _is_covered(lines: Array, others: Array, gap: float) -> NDArray[np.bool_]:
 
 def _select_lines(response: FrequencyResponse, lines: Array) -> FrequencyResponse:
     keep = np.isin(response.frequency, lines)
-    fields = ("frequency", "response", "channel_covariance", "load_covariance", "coherence", "multiple_coherence")
-    return replace(response, **{name: getattr(response, name)[keep] for name in fields})
+    return response.select(keep)
 
 
 def _interpolate(response: FrequencyResponse, lines: Array) -> FrequencyResponse:
@@ -157,6 +166,7 @@ def _interpolate(response: FrequencyResponse, lines: Array) -> FrequencyResponse
         load_covariance=value.load_covariance,
         coherence=response.coherence[nearest],
         multiple_coherence=response.multiple_coherence[nearest],
+        line_share=None if response.line_share is None else response.line_share[nearest],
     )
 
 
