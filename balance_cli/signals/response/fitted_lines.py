@@ -33,7 +33,7 @@ def spectrum_of_response(response: FrequencyResponse) -> RunSpectrum:
         raise UserError(fault, place=f"response {response.run}", remedy="Make it again by `sweep-tf` or `import-frf`")
     lines = response.select(independent_lines(response))
     k, c, u = lines.response.shape
-    loads = np.linalg.inv(np.linalg.cholesky(lines.load_covariance)).conj().swapaxes(1, 2)
+    loads = _independent_loads(lines.load_covariance)
     noise, dof = _known_noise(lines.channel_covariance, response.noise_dof)
     covariance = np.zeros((k * u, c + u, c + u), complex)
     covariance[:, :c, :c] = np.repeat(noise, u, axis=0)
@@ -49,6 +49,16 @@ def spectrum_of_response(response: FrequencyResponse) -> RunSpectrum:
         rotor_speed=response.rotor_speed,
         level=response.level if np.all(np.isfinite(response.level)) else (),
     )
+
+
+def _independent_loads(covariance: ComplexArray) -> ComplexArray:
+    """Return loads (k, u, u), an experiment in each column, for which errors of this load covariance are independent.
+
+    They are determined up to a unitary factor: that of a Fourier transform gives each experiment a share of all loads,
+    as starting values need that are found from a part of the lines.
+    """
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance)).conj().swapaxes(1, 2)
+    return np.asarray(whitening @ np.fft.fft(np.eye(covariance.shape[1]), norm="ortho"))
 
 
 def independent_lines(response: FrequencyResponse) -> Mask:

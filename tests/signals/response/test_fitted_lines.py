@@ -43,6 +43,7 @@ def test_columns_of_runs_that_were_solved_together_become_independent_experiment
     lines = spectrum_of_response(response_of(T + error, *covariances))
     assert lines.channels.shape == (k * u, c) and lines.loads.shape == (k * u, u)
     np.testing.assert_array_equal(lines.frequency[:u], 1.0)
+    assert np.all(np.abs(lines.loads) > 0.05)
     noise = (lines.channels - lines.loads @ T.T).reshape(k, u * c)
     expected = np.kron(np.eye(u), root @ root.conj().T)
     np.testing.assert_allclose(noise.T @ noise.conj() / k, expected, atol=0.08)
