@@ -18,7 +18,7 @@ from balance_cli.importers.written_numbers import plausible_rate
 
 START, STEP = "start", "increment"
 """Cells of the row of names whose values stand below, in the row of units."""
-SAMPLE_NUMBERS = ("sequence",)
+SAMPLE_NUMBERS = ("sequence", "no.")
 """Words in place of a unit above a column that counts the samples."""
 
 

@@ -18,7 +18,9 @@ _SIGNS = r"[ \t\"'=:;,_()\[\]|-]*"
 """Between a word and its number are only signs and a unit: `default sample rate <tab> DMS_1` states none."""
 _RATES = (
     re.compile(
-        r"(?:\b(?:sampl\w*?|scan(?:ning)?|acquisition|daq|data)[ _-]*(?:rate|freq(?:uency)?)|abtast(?:rate|frequenz)"
+        r"(?:\b(?:sampl\w*?|scan(?:ning)?|acquisition|daq|data)[ _-]*(?:rate|freq(?:uency)?)"
+        r"|^\W*update[ _]rate|abtast(?:rate|frequenz)|サンプリング周波数|采样(?:频率|率)"
+        r"|^no_of_\w+[\t :=,;]+\d+\s*\nfrequency"
         rf"|messrate|\bf_?s|^\W*rate){_SIGNS}(?:{_RATE_UNIT.format('before')})?{_SIGNS}{_NUMBER}"
         rf"[ \t,;]*(?:{_RATE_UNIT.format('behind')})?",
         re.IGNORECASE | re.MULTILINE,
@@ -29,7 +31,7 @@ _RATES = (
 """A word for the rate and its number; a unit of rates and its number; and the reverse (`100 sps`, `2 kS/s`)."""
 _STEP = re.compile(
     r"^\W*(?:delta(?:[ _]?[xt])?|d[tx]|x-axis delta|time[ _](?:step|interval)|sampl\w*[ _](?:interval|period|time)"
-    rf"|abtastintervall)\b{_SIGNS}(?:{_TIME_UNIT.format('before')})?{_SIGNS}{_NUMBER}"
+    rf"|abtastintervall|interval(?=[ \t]*[=:])|測定間隔)\b{_SIGNS}(?:{_TIME_UNIT.format('before')})?{_SIGNS}{_NUMBER}"
     rf"[ \t,;]*+(?:{_TIME_UNIT.format('behind')}|(?![a-z%]))",
     re.IGNORECASE | re.MULTILINE,
 )

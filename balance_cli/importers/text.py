@@ -51,6 +51,8 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     columns = find_columns(text, is_whole, encoding, layout)
     remarks.require_going_on(columns)
     rows, notes = index_rows(path, columns, remarks, held)
+    if columns.left_out:
+        notes.append(f"the rows have no cells for the last names of the head: {', '.join(columns.left_out)}")
     # Several are those of different channels.
     several = len(columns.stated_rates) > 1
     scalars = {f"{k}.{RATE}" if several else RATE: rate for k, rate in enumerate(columns.stated_rates)}

@@ -20,11 +20,34 @@ FEWEST_OTHER_ROWS = 2
 """Such rows with another separator: a line of a head may hold as many numbers as there are columns."""
 _THREE_DECIMALS = re.compile(r"[.,]\d{3}$")
 
+_SIGN_APART = re.compile(r"^[-+] +(?=[\d.,])")
+"""A sign with blanks before the digits, as loggers of Graphtec write it: `+ 24.1`."""
+_STAMP = re.compile(r"^(\d{1,2}:\d{2}:\d{2}(?:\.\d+)?) -> ")
+"""The time that the monitor of Arduino writes before each line."""
+
 Rows = Sequence[Sequence[str]]
 
 
 def split_cells(line: str, separator: str) -> list[str]:
-    """The cells of a row, without quotes and outer spaces."""
+    """The cells of a row, without quotes, outer spaces, and spaces between a sign and its number."""
+    if " -> " in line and (stamp := _STAMP.match(line)):
+        return [stamp[1], *split_cells(line[stamp.end() :], separator)]
+    cells = _split(line, separator)
+    return [_SIGN_APART.sub(cell[0], cell) for cell in cells] if "- " in line or "+ " in line else cells
+
+
+def with_cells_apart(text: bytes, separator: str) -> bytes:
+    """The rows of a text as `split_cells` reads them: a separator behind the time of a monitor, no space in numbers."""
+    if b" -> " in text:
+        stamp = _STAMP.pattern.encode("latin-1")
+        text = re.sub(stamp, rb"\1" + re.escape(separator.encode("latin-1")), text, flags=re.MULTILINE)
+    if separator != " " and (b"- " in text or b"+ " in text):
+        edge = b"(?:^|(?<=[" + re.escape(separator.encode("latin-1")) + b'" ]))'
+        text = re.sub(edge + rb"([-+]) +(?=[\d.,])", rb"\1", text, flags=re.MULTILINE)
+    return text
+
+
+def _split(line: str, separator: str) -> list[str]:
     if separator == " ":
         return line.replace('"', "").split()
     if '"' in line:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.clock_fractions import fraction_columns
 from balance_cli.importers.column_clocks import head_of_used_columns
 from balance_cli.importers.scope_heads import counts_samples, without_clock_cells
 from balance_cli.importers.stated_clock import stated_rates
@@ -19,7 +20,7 @@ from balance_cli.importers.text_blocks import (
     split_cells,
 )
 from balance_cli.importers.text_clock import CLOCK
-from balance_cli.importers.text_names import KEY, counts_rows, names_and_units
+from balance_cli.importers.text_names import KEY, NAME_KEYS, counts_rows, names_and_units, names_without_cells
 from balance_cli.importers.time_columns import time_columns
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import SEPARATORS, is_remark
@@ -49,7 +50,8 @@ class Columns:
     `first_row` counts from 0. `numeric` are the columns of numbers, `clock` those of dates or times of day; others are
     text, or empty without a name. `sparse` are columns of a lower rate that share the rows of the others: the first row
     of data with a value, and the rows from one to the next. `times` are columns of times, each of those behind it,
-    where there are several. `group_sign` stands between thousands.
+    where there are several. `group_sign` stands between thousands. `fractions` are columns that count parts of the
+    seconds of a column of times, and the seconds of one part; they are no channels. `left_out` are names without cells.
     """
 
     encoding: str
@@ -64,6 +66,8 @@ class Columns:
     sparse: dict[int, tuple[int, int]] = field(default_factory=dict)
     times: tuple[int, ...] = ()
     group_sign: str = ""
+    fractions: dict[int, tuple[int, float]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
 
 def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -> Columns:
@@ -77,7 +81,7 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     separator, decimal, first = _choose_separators(lines, layout)
     rows = [split_cells(line, separator) for line in lines]
     if layout.first_row is None:
-        first += first == 0 and _is_row_of_numbers_as_names(rows, decimal)
+        first += _is_row_of_numbers_as_names(rows, decimal) if first == 0 else _settings(rows, first, decimal)
         require_one_block(rows[:first], decimal)
         require_one_notation(lines, first, separator, decimal)
         _require_plausible_shape(rows, first, separator, is_whole)
@@ -85,16 +89,15 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     names, units = names_and_units(header, rows[first:], layout)
     numeric, clock = _column_kinds(rows[first:], decimal, names)
     numeric, names = _without_sample_numbers(numeric, names, units)
-    cells = {column: [row[column] for row in rows[first:] if len(row) > column] for column in numeric}
+    heads = list(zip(names, units, strict=True))
+    fractions = fraction_columns(rows[first:], clock, heads)
+    numeric = tuple(sorted(set(numeric).difference(place for place, _ in fractions.values())))
     if layout.decimal is None:
-        require_one_sign(rows[first:], first, decimal, [(column, names[column]) for column in numeric])
-        for column in numeric:
-            require_clear_decimals(cells[column], decimal, names[column])
+        _require_clear_signs(rows[first:], first, decimal, {column: names[column] for column in numeric})
     sparse = _sparse_columns(rows[first:], numeric)
     dense = [column for column in numeric if column not in sparse]
-    times = time_columns(rows[first:], decimal, dense, list(zip(names, units, strict=True)))
+    times = time_columns(rows[first:], decimal, dense, heads)
     head = head_of_used_columns(lines[:first], rows, separator, has_times=len(times) > 1)
-    sign = next((sign for column in numeric if (sign := group_sign(cells[column], decimal))), "")
     return Columns(
         encoding=encoding,
         separator=separator,
@@ -107,8 +110,25 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         stated_rates=(rate,) if rate else stated_rates(head, separator),
         sparse=sparse,
         times=times,
-        group_sign=sign,
+        group_sign=_sign_between_thousands(rows[first:], numeric, decimal),
+        fractions=fractions,
+        left_out=names_without_cells(header, rows[first:]),
     )
+
+
+def _require_clear_signs(rows: Sequence[Sequence[str]], first: int, decimal: str, columns: dict[int, str]) -> None:
+    """Raise UserError where the decimal sign of a column changes, or can be one between thousands."""
+    require_one_sign(rows, first, decimal, list(columns.items()))
+    for column, name in columns.items():
+        require_clear_decimals(_cells(rows, column), decimal, name)
+
+
+def _sign_between_thousands(rows: Sequence[Sequence[str]], numeric: Sequence[int], decimal: str) -> str:
+    return next((sign for column in numeric if (sign := group_sign(_cells(rows, column), decimal))), "")
+
+
+def _cells(rows: Sequence[Sequence[str]], column: int) -> list[str]:
+    return [row[column] for row in rows if len(row) > column]
 
 
 def _choose_separators(lines: Sequence[str], layout: TextLayout) -> tuple[str, str, int]:
@@ -162,6 +182,16 @@ def _is_row_of_numbers_as_names(rows: Sequence[Sequence[str]], decimal: str) -> 
     has_fractions = any(decimal in cell for row in rows[1:] for cell in row if is_number(cell, decimal))
     has_words_below = any(word and not is_number(word, decimal) for row in rows[1:] for word in row)
     return are_whole and has_fractions and (counts_rows(cells) if not words else not has_words_below)
+
+
+def _settings(rows: Sequence[Sequence[str]], first: int, decimal: str) -> int:
+    """Rows of settings with numbers below one of names: `Name`, `Rate`, `Range` above a column of numbers."""
+    above = rows[first - 1]
+    if not above or above[0].lower() not in NAME_KEYS or len(above) != len(rows[first]):
+        return 0
+    begins = [row[0] for row in rows[first:] if row]
+    count = next((k for k, cell in enumerate(begins) if is_number(cell, decimal)), 0)
+    return count if all(is_number(cell, decimal) for cell in begins[count:]) else 0
 
 
 def _require_plausible_shape(rows: Sequence[Sequence[str]], first: int, separator: str, is_whole: bool) -> None:
@@ -261,7 +291,8 @@ def _column_kinds(
     for column, name in enumerate(names):
         cells = [row[column] for row in rows if len(row) > column and not is_missing(row[column])]
         numbers = sum(is_number(cell, decimal) for cell in cells)
-        if numbers >= NUMERIC_COLUMN_SHARE * len(cells) and (cells or name.lower() not in ("", *COMMENTS)):
+        nameless = ("", f"column {column + 1}", *COMMENTS)
+        if numbers >= NUMERIC_COLUMN_SHARE * len(cells) and (cells or name.lower() not in nameless):
             numeric.append(column)
         elif cells and all(CLOCK.match(cell) for cell in cells):
             clock.append(column)

@@ -6,20 +6,24 @@ import re
 from collections.abc import Sequence
 
 from balance_cli.importers.base import TextLayout
-from balance_cli.importers.scope_heads import counts_samples
 from balance_cli.importers.text_clock import CLOCK
+from balance_cli.importers.unit_rows import UNIT_KEYS, are_units, are_units_of, says_units
 from balance_cli.io.column_heads import split_quotient
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import REMARKS
-from balance_cli.io.text_numbers import is_missing, is_number
-from balance_cli.io.units import is_unit
+from balance_cli.io.text_numbers import is_number
 
-UNIT_SHARE = 0.5
-"""Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""
-KEY = re.compile(r"^[A-Za-z][\w -]*:$")
-"""The first cell of a row of a head that says what the others are, as imc writes it: `Name:`, `Unit:`, `dx:`."""
-NAME_KEYS = ("name", "names", "channel name", "channel names", "channel", "kanalname", "kanal", "signal", "tracename")
-UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "y-unit", "y_unit_label", "vunit")
+KEY = re.compile(r"^[A-Za-z][\w -]*[:=]$")
+"""The first cell of a row of a head that says what the others are, as imc (`Name:`, `Unit:`, `dx:`) and LabChart
+(`ChannelTitle=`) write it."""
+KEY_ENDS = ":="
+NAME_KEYS = (
+    *("name", "names", "channel name", "channel names", "channel", "kanalname", "kanal", "signal", "tracename"),
+    *("channeltitle", "ch名称", "ch no"),
+)
+"""The last two are those of Japanese loggers, the more telling first."""
+NO_UNIT = ("*", "/")
+"""Signs in a row of units above columns that have none."""
 REMARK_SIGNS = (*REMARKS, ";", "!")
 """Signs before the names of a head of remarks."""
 
@@ -32,18 +36,18 @@ def names_and_units(header: Rows, data: Rows, layout: TextLayout) -> tuple[tuple
     Raises UserError where names and columns differ in number, so that nothing says which is whose.
     """
     width = len(data[0])
-    rows = [_without_remark_sign(row, width) for row in header]
+    rows = [_fitting(_without_remark_sign(row, width), data, width) for row in header]
     candidates = [k for k, row in enumerate(rows) if any(row) and abs(len(row) - width) <= 1]
     keys = _keys(rows, candidates, data)
     name_row = next((keys[key] for key in NAME_KEYS if key in keys), None)
-    if name_row is not None and layout.name_row is None:
-        return _keyed_names(rows, keys, name_row, width)
     plain = [k for k in candidates if k not in keys.values()]
+    if name_row is not None and layout.name_row is None and not _stand_below(rows, plain, name_row, data):
+        return _keyed_names(rows, keys, name_row, data)
     unit_row = layout.unit_row - 1 if layout.unit_row else None
     if unit_row is None and layout.name_row is None and len(plain) > 1:
-        unit_row = next((k for k in reversed(plain) if _are_units(rows[k])), None)
+        unit_row = _find_units(rows, plain, data)
     rest = [k for k in plain or candidates if k != unit_row and (plain or len(rows[k]) == width)]
-    is_keyed = unit_row is not None and _says_units(rows[unit_row])
+    is_keyed = unit_row is not None and says_units(rows[unit_row])
     # Names stand above a row of units, but below the keyed rows of LabVIEW.
     name_row = layout.name_row - 1 if layout.name_row else _best_names(rows, rest, None if is_keyed else unit_row)
     shift = 0 if layout.name_row or name_row is None else _shift(rows[name_row], data, width)
@@ -56,7 +60,10 @@ def names_and_units(header: Rows, data: Rows, layout: TextLayout) -> tuple[tuple
     pairs = [split_quotient(name.lstrip("#").strip()) for name in names]
     if not layout.name_row:
         pairs = _distinguished(pairs, above)
-    shown = tuple(name if any(names) else f"column {k + 1}" for k, (name, _) in enumerate(pairs))
+    # The time that a monitor writes before the line of names is no name.
+    shown = tuple(
+        name if any(names) and not CLOCK.match(name) else f"column {k + 1}" for k, (name, _) in enumerate(pairs)
+    )
     from_names = [unit or "" for _, unit in pairs]
     return shown, tuple(_strip_unit(unit) or own for unit, own in zip(units, from_names, strict=True))
 
@@ -69,22 +76,69 @@ def _without_remark_sign(row: Sequence[str], width: int) -> Sequence[str]:
     return [first, *row[1:]] if first or len(row) <= width else row[1:]
 
 
+def _fitting(row: Sequence[str], data: Rows, width: int) -> Sequence[str]:
+    """The row of a head without the names of columns at the end that have no cells, as test stands write them.
+
+    Rows of data that end with empty cells, and in fewer of them than the head, leave out what has no value.
+    """
+    has_empty_end = all(not cells[-1] for cells in data if len(cells) == width)
+    return row[:width] if len(row) > width + 1 and has_empty_end and all(row[:width]) else row
+
+
+def names_without_cells(header: Rows, data: Rows) -> tuple[str, ...]:
+    """The names at the end of a head for which the rows of data have no cells."""
+    width = len(data[0])
+    rows = [row for row in header if _fitting(row, data, width) is not row]
+    return tuple(name for row in rows[-1:] for name in row[width:] if name)
+
+
+def _find_units(rows: Rows, plain: Sequence[int], data: Rows) -> int | None:
+    """The row of units: the last one of them, else the last row where it has units of the names directly above it."""
+    unit_row = next((k for k in reversed(plain) if are_units(rows[k])), None)
+    if unit_row is None and are_units_of(rows[plain[-1]], rows[plain[-2]], data):
+        return plain[-1]
+    return unit_row
+
+
+def _stand_below(rows: Rows, plain: Sequence[int], name_row: int, data: Rows) -> bool:
+    """Whether names and a row of units without keys stand below a row that begins with a key of names."""
+    below = [k for k in plain if k > name_row]
+    return len(below) > 1 and _find_units(rows, below, data) is not None
+
+
 def _keys(rows: Rows, candidates: Sequence[int], data: Rows) -> dict[str, int]:
-    """Rows that begin with a word on what the others are: with a colon, or above a column that has no data."""
+    """Rows that begin with a word on what the others are: with a colon, or above a column that has no data.
+
+    Above a column of numbers they need no colon where one begins with a word for names and others with one for units
+    or with settings that are numbers.
+    """
     is_empty = not any(row[0] for row in data if row)
-    keyed = [k for k in candidates if rows[k][0] and (KEY.match(rows[k][0]) or is_empty)]
-    if is_empty and not any(rows[k][0].rstrip(":").lower() in NAME_KEYS for k in keyed):
+    begins = {k: rows[k][0].rstrip(KEY_ENDS).lower() for k in candidates if rows[k][0]}
+    keyed = [k for k in begins if KEY.match(rows[k][0]) or is_empty]
+    if is_empty and not any(begins[k] in NAME_KEYS for k in keyed):
         keyed = [k for k in keyed if KEY.match(rows[k][0])]
-    return {rows[k][0].rstrip(":").lower(): k for k in keyed}
+    bare = [k for k, begin in begins.items() if begin in (*NAME_KEYS, *UNIT_KEYS) or _has_settings(rows[k])]
+    has_names = any(begins[k] in NAME_KEYS for k in keyed) or not any(begins[k] in NAME_KEYS for k in bare)
+    if not has_names and len(bare) > 1 and _is_any_number(data[0][0]):
+        keyed += bare
+    return {begins[k]: k for k in keyed}
+
+
+def _has_settings(row: Sequence[str]) -> bool:
+    """Whether a row has a number for each column behind its first cell."""
+    return len(row) > 1 and not _is_any_number(row[0]) and all(_is_any_number(cell) for cell in row[1:] if cell)
 
 
 def _keyed_names(
-    rows: Rows, keys: dict[str, int], name_row: int, width: int
+    rows: Rows, keys: dict[str, int], name_row: int, data: Rows
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of a head with a key in the first cell of each row, above a column of its own or none."""
+    width = len(data[0])
     unit_row = next((keys[key] for key in UNIT_KEYS if key in keys), None)
     plain = [["", *row[1:]] if len(row) <= width else row[1:] for row in rows]
     names, units = _padded(plain, name_row, width), _padded(plain, unit_row, width)
+    if not names[0] and data[0][0]:
+        names[0] = "column 1"
     return tuple(names), tuple(_strip_unit(unit) for unit in units)
 
 
@@ -156,21 +210,4 @@ def _padded(rows: Rows, row: int | None, width: int, shift: int = 0) -> list[str
 
 
 def _strip_unit(text: str) -> str:
-    return text.strip().strip("[]()").strip()
-
-
-def _are_units(row: Sequence[str]) -> bool:
-    """Whether a row is one of units: more than half of its cells are, or half of them and some occur twice.
-
-    A first cell that says what the others are, as LabVIEW writes it, does not count.
-    """
-    row = row[1:] if _says_units(row) or (row and counts_samples(row[0])) else row
-    cells = [_strip_unit(cell.lstrip("#")) for cell in row if cell and not is_missing(cell)]
-    units = [cell for cell in cells if is_unit(cell) and not _is_any_number(cell)]  # settings are numbers, and 1 a unit
-    least = UNIT_SHARE * len(cells)
-    return len(units) > least or (len(units) >= least and len(set(units)) < len(units))
-
-
-def _says_units(row: Sequence[str]) -> bool:
-    """Whether the first cell of a row says that the others are units."""
-    return bool(row) and row[0].rstrip(":").lower() in UNIT_KEYS
+    return "" if text.strip() in NO_UNIT else text.strip().strip("[]()").strip()

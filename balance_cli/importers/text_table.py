@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from balance_cli.importers.base import Array, damage_error
-from balance_cli.importers.text_blocks import split_cells
+from balance_cli.importers.text_blocks import split_cells, with_cells_apart
 from balance_cli.importers.text_clock import seconds_of_clock
 from balance_cli.importers.text_layout import Columns
 from balance_cli.importers.text_rows import INDEXED_ROWS, Rows
@@ -61,10 +61,13 @@ class TextTable:
         import pandas as pd
 
         layout = self.columns
+        text = with_cells_apart(text, layout.separator)
         if layout.group_sign:
             encoding = "utf-8" if layout.encoding.startswith("utf-16") else layout.encoding
             text = without_group_signs(text, layout.group_sign, layout.decimal, layout.separator, encoding)
         clock = [k for k in wanted if k in layout.clock]
+        fractions = [layout.fractions[k][0] for k in clock if k in layout.fractions]
+        wanted, shown = [*wanted, *fractions], len(wanted)
         numeric = [k for k in wanted if k not in clock]
         types = dict.fromkeys(numeric, np.float64) | dict.fromkeys(clock, str)
         try:
@@ -79,7 +82,15 @@ class TextTable:
         if len(table) != count:
             raise damage_error(f"{len(table)} rows from row {self._file_row(row)} on, where {count} were expected")
         place = f"column `{layout.names[clock[0]]}`" if clock else ""
-        return np.column_stack([seconds_of_clock(table[k], place) if k in clock else table[k] for k in wanted])
+        return np.column_stack([self._column(table, k, place) for k in wanted[:shown]])
+
+    def _column(self, table: Any, column: int, place: str) -> Any:
+        """The numbers of a column, of times in seconds with the parts that a column of their own counts."""
+        if column not in self.columns.clock:
+            return table[column]
+        seconds = seconds_of_clock(table[column], place)
+        part, factor = self.columns.fractions.get(column, (column, 0.0))
+        return seconds + factor * np.asarray(table[part]) if factor else seconds
 
     def _table(self, text: bytes, wanted: Sequence[int], types: dict[int, Any]) -> Any:
         """A table of some columns. Raises ValueError, or that of pandas, where a cell is not of its type."""

@@ -25,6 +25,8 @@ LARGEST_SHIFT = 0.2
 of a record puts the means on either side off by up to half a step."""
 LARGEST_REPEATED_SHARE = 0.5
 """Of the times; where more are equal to the one before, their last digit is longer than two steps."""
+FEWEST_CHANGES = 2
+"""Groups of equal times, all of one size, by which the rows are those of several sensors."""
 NOTED_SCATTER = 0.02
 """Steps of scatter from which a note is made."""
 WHOLE_RATE_TOLERANCE = 3e-6
@@ -39,13 +41,18 @@ class TimeAxis:
     rate: float
     start: float
     scatter: float
+    times_of_each: int = 1
+    """How often each time is there, as far as the first block shows."""
 
     @property
     def note(self) -> str:
         """What to tell where the times are not exactly even, else empty."""
         if self.scatter < NOTED_SCATTER:
             return ""
-        return f"times scatter by up to {self.scatter:.2f} steps about equal steps of 1/{self.rate:.10g} s"
+        note = f"times scatter by up to {self.scatter:.2f} steps about equal steps of 1/{self.rate:.10g} s"
+        if self.times_of_each > 1:
+            note += f", as each is there {self.times_of_each} times: rows of several sensors must be a file for each"
+        return note
 
 
 def read_time_axis(read: ReadBlock, samples: int, factor: float = 1.0) -> TimeAxis:
@@ -106,7 +113,8 @@ def _even_times(read: ReadBlock, samples: int, factor: float) -> TimeAxis:
     rate = 1.0 / (step * factor)
     if abs(rate - round(rate)) < WHOLE_RATE_TOLERANCE * rate and round(rate) > 0:
         rate = float(round(rate))
-    return TimeAxis(rate, float(first + mean - step * middle) * factor, scatter)
+    each = times_of_each(np.diff(read([0], 0, min(BLOCK, samples))[:, 0])) if scatter >= NOTED_SCATTER else 1
+    return TimeAxis(rate, float(first + mean - step * middle) * factor, scatter, each)
 
 
 def _largest_mean(errors: Array) -> float:
@@ -143,6 +151,10 @@ def _uneven(steps: Array, first: int, largest: float) -> UserError:
     fault = f"the times are not even: {largest:.3g} steps off a straight line"
     worst = int(np.argmax(np.abs(steps - np.median(steps))))
     remedy = "Cut the record at the gap, or give the sample rate in the map"
+    if (times := times_of_each(steps)) > 1:
+        fault += f" (each time is there {times} times)"
+        remedy = "Save the rows of each sensor as a file of its own; give the sample rate in the map if they are of one"
+        return UserError(fault, place=f"sample {first}", remedy=remedy)
     if np.mean(steps == 0.0) > LARGEST_REPEATED_SHARE:
         worst = int(np.argmax(np.abs(steps - 1.0)))
         fault += " (most are equal to the one before: they have too few digits to tell a gap from rounding)"
@@ -153,6 +165,17 @@ def _uneven(steps: Array, first: int, largest: float) -> UserError:
     elif steps[worst] == 0.0:
         fault += " (a time is that of the row above)"
         remedy = "Remove rows that are there twice"
+        if are_uneven(steps[steps > 0.0]):
+            remedy += ", or state `resample` [Hz] in the map: the first of them is then taken"
     elif are_uneven(steps):
         remedy = "State `resample` [Hz] in the map: samples at uneven times are then interpolated"
     return UserError(fault, place=f"sample {first + worst}", remedy=remedy)
+
+
+def times_of_each(steps: Array) -> int:
+    """Return how often each time is there, by the steps from one row to the next; 1 where they differ in that."""
+    changes = np.flatnonzero(steps > 0.0)
+    counts = np.diff(changes)
+    if len(counts) < FEWEST_CHANGES or counts.min() != counts.max() or steps.min() < 0.0:
+        return 1
+    return int(counts[0])

@@ -20,6 +20,8 @@ LONGEST_STEP = 5.0
 EQUAL_RATES = 1.1
 """Ratio of the mean rate to the wanted one up to which no filter is needed in between: what could alias is at the upper
 end of the band, where the cubic is wrong anyway."""
+MOST_REPEATED = 0.1
+"""Of the rows that have the time of the row above; with more of them the rows are those of several sensors."""
 NODES = 4
 """Samples of a cubic. A sine at a tenth of the rate has an error of 0.3 % rms, one at a fifth 4.5 %, in steps that
 differ by 30 %."""
@@ -44,9 +46,12 @@ def are_uneven(steps: Array) -> bool:
 def evened_group(group: ChannelGroup, times: Array, wanted: float) -> EvenedGroup | None:
     """A group whose samples are at uneven times (n,) [s], at even steps for a run file of a `wanted` rate [Hz].
 
-    None where the times are even, have gaps or do not increase. The rate is the wanted one or, where that is lower than
-    the mean rate, a multiple of it that leaves room for a filter.
+    Of rows with one time the first is taken. None where the times are even, have gaps or do not increase. The rate is
+    the wanted one or, where that is lower than the mean rate, a multiple of it that leaves room for a filter.
     """
+    rows = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    repeated = len(times) - len(rows)
+    times = times[rows] if repeated <= MOST_REPEATED * len(times) else times
     steps = np.diff(times)
     if len(times) < NODES or not np.isfinite(times).all() or not are_uneven(steps):
         return None
@@ -61,13 +66,16 @@ def evened_group(group: ChannelGroup, times: Array, wanted: float) -> EvenedGrou
             return np.empty((0, len(columns)))
         begin, end = int(first.min()), int(first.max()) + NODES
         nodes = (first - begin)[:, None] + np.arange(NODES)
-        values = group.read(columns, begin, end)[nodes]
+        kept = rows[begin:end]
+        values = group.read(columns, int(kept[0]), int(kept[-1]) + 1)[kept - kept[0]][nodes]
         return np.asarray(np.einsum("nk,nkc->nc", _cubic_weights(times[begin + nodes], at), values))
 
     note = (
         f"samples at uneven times ({steps.min():.3g} to {steps.max():.3g} s apart, {mean:.4g} Hz in the mean) were "
         f"interpolated to {rate:.10g} Hz: above {mean / NODES / 2:.3g} Hz the channels are not reliable"
     )
+    if repeated:
+        note += f"; {repeated} of {len(times) + repeated} rows have the time of the row above, and were left out"
     return EvenedGroup(replace(group, rate=rate, start=float(times[0]), samples=samples, read=read), note)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
 from pathlib import Path
 
 from balance_cli.io.errors import UserError
@@ -15,6 +17,10 @@ ARRAY_SIGNATURE = b"\x93NUMPY"
 ARRAY_MEMBER = b".npy"
 """How a numpy array begins, and how the names of those in an archive end."""
 MARKUP_SIGNATURES = (b"<?xml", b"\xef\xbb\xbf<?xml", b"<!DOCTYPE", b"<html")
+FEWEST_EAST_ASIAN = 4
+"""Characters by which a text is Japanese or Chinese; two signs beyond ASCII in a row occur in German words."""
+_KANA = re.compile("[\u3041-\u30ff]")
+_BEYOND_ASCII = re.compile(rb"[\x80-\xff]+")
 SENSOR_MARK = b"<FTSensor"
 """The element of ATI's calibration files."""
 
@@ -44,7 +50,8 @@ def is_remark(line: str) -> bool:
 def find_encoding(head: bytes, is_cut: bool = False) -> str:
     """Encoding by byte order mark, by zero bytes of UTF-16, else UTF-8 where valid, else Windows-1252.
 
-    With `is_cut` the last character may be incomplete.
+    Shift-JIS and GB 18030 are told from Windows-1252 by their characters. With `is_cut` the last character may be
+    incomplete.
     """
     if head.startswith(b"\xef\xbb\xbf"):
         return "utf-8-sig"
@@ -58,4 +65,22 @@ def find_encoding(head: bytes, is_cut: bool = False) -> str:
         head.decode("utf-8")
         return "utf-8"
     except UnicodeDecodeError as error:
-        return "utf-8" if is_cut and error.start > len(head) - 4 else "cp1252"
+        return "utf-8" if is_cut and error.start > len(head) - 4 else _find_code_page(head)
+
+
+def _find_code_page(head: bytes) -> str:
+    """Code page of text with signs beyond ASCII that is not UTF-8.
+
+    Japanese text has full-width kana, which signs of Western languages do not make up. Chinese text has pairs of signs
+    beyond ASCII, where Western text has mostly single ones.
+    """
+    head = head[: head.rfind(b"\n") + 1] or head
+    with suppress(UnicodeDecodeError):
+        if len(_KANA.findall(head.decode("cp932"))) >= FEWEST_EAST_ASIAN:
+            return "cp932"
+    runs = [len(run) for run in _BEYOND_ASCII.findall(head)]
+    if sum(runs) >= 2 * FEWEST_EAST_ASIAN and all(length % 2 == 0 for length in runs):
+        with suppress(UnicodeDecodeError):
+            head.decode("gb2312")
+            return "gb18030"
+    return "cp1252"

@@ -81,7 +81,7 @@ _SPELLINGS: dict[str, tuple[str, ...]] = {
     "Hz": ("1/s", "s-1", "rev/s"),
     "s": ("sec", "second", "seconds", "sek", "sekunden"),
     "h": ("hr",),
-    "1": ("-", "count", "counts", "cts", "bit", "bits", "digit", "digits", "LSB", "none"),
+    "1": ("-", "count", "counts", "cts", "bit", "bits", "digit", "digits", "LSB", "none", "steps"),
     "%": ("percent",),
     "um/m": ("ue", "ustrain", "microstrain", "uepsilon"),
 }
@@ -94,7 +94,21 @@ _TEMPERATURES = {
     "K": (("kelvin",), 1.0, -273.15),
 }
 _SIGNS = str.maketrans(
-    {"µ": "u", "μ": "u", "ε": "e", "ϵ": "e", "·": " ", "⋅": " ", "×": " ", "*": " ", "²": "2", "°": "deg", "^": None}
+    {
+        "µ": "u",
+        "μ": "u",
+        "ε": "e",
+        "ϵ": "e",
+        "·": " ",
+        "⋅": " ",
+        "×": " ",
+        "*": " ",
+        "²": "2",
+        "°": "deg",
+        "º": "deg",
+        "˚": "deg",
+        "^": None,
+    }
 )
 
 
@@ -174,7 +188,7 @@ def unit_symbols(*dimensions: str) -> tuple[str, ...]:
 def _normalize(text: str) -> str:
     """Reduce separators to single spaces and special signs to letters."""
     plain = text.strip().translate(_SIGNS)
-    plain = re.sub(r"(?i)deg\s*(?=[CFK]$)", "deg", plain)
+    plain = re.sub(r"(?i)degr?(?:ees?)?[._\s]*(?=[CFK]$)", "deg", plain)
     if len(plain) > 1:
         plain = re.sub(r"(?<=[A-Za-z])[.\-_](?=[A-Za-z])", " ", plain)
     return re.sub(r"\s+", " ", re.sub(r"\s*/\s*", "/", plain)).strip()

@@ -17,11 +17,18 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.importers.base import ForeignChannel, ForeignFile
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
-from balance_cli.io.units import ANGLE, FORCE, FREQUENCY, MOMENT
+from balance_cli.io.units import ACCELERATION, ANGLE, FREQUENCY, NUMBER
 from balance_cli.steps.sketched_differences import Entries, base_file, difference_lines, own_channels
+from balance_cli.steps.sketched_loads import guess_loads
 from balance_cli.steps.sketched_rates import quoted, rate_lines
 from balance_cli.steps.sketched_times import empty_times, even_column, time_channel, unit_of
 
+NO_CHANNELS = "all columns have names of loads: move here what the balance reads"
+WEIGHT_NAME = re.compile(r"weight|mass|load|thrust|force|gewicht|masse|last|kraft|schub", re.IGNORECASE)
+"""Names of channels whose unit `g` is that of a weight, and no acceleration."""
+WEIGHT_UNIT = "gf"
+NO_ROTOR = re.compile(r"air|wind|flow|luft", re.IGNORECASE)
+"""Names of speeds that are those of the flow."""
 TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|\bpsi\b|speed", re.IGNORECASE)
 ANGLE_NAME = re.compile(r"azimu|\bpsi\b|angle|winkel", re.IGNORECASE)
 FREQUENCY_RESPONSE = "a frequency response"
@@ -58,14 +65,18 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     own = {file.path: own_channels(file, first) for file in files}
     tachometer = next((channel for channel in chain(rest, *own.values()) if _is_tachometer(channel)), None)
     rest = [channel for channel in rest if channel is not tachometer]
-    loads, rest = _guess_loads(rest)
+    kinds = [_kind(file.path) for file in files]
+    # Zero and wind runs have no loads: what they call so are readings.
+    has_loads = any(kind in (None, *KINDS_WITH_LOADS) for kind in kinds)
+    loads, rest = guess_loads(rest) if has_loads else ({}, rest)
     lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
-    if any(_kind(file.path) != "static" for file in files):
+    if any(kind != "static" for kind in kinds):
         lines += rate_lines(first, time)
     lines += [f"# not as long as `{time.name}`: {', '.join(c.name for c in others)}"] if time and others else []
     mapped, free = _guess_channels(rest, geometry)
     channel_line = partial(_channel_line, geometry)
-    lines += ["channels:", *(channel_line(*entry) for entry in mapped.values())]
+    lines += ["channels:" + ("" if mapped else f" {UNFINISHED}  # {NO_CHANNELS}")]
+    lines += [channel_line(*entry) for entry in mapped.values()]
     lines += [f"  # channels of the geometry that were not found: {', '.join(free)}"] if free else []
     lines += (
         ["loads:", *(_load_line(*entry) for entry in loads.values())]
@@ -74,7 +85,8 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     )
     lines += [*_rotor_lines(tachometer, geometry), "runs:"]
     for file in files:
-        more_loads, more = _guess_loads([c for c in own[file.path] if tachometer is None or c.name != tachometer.name])
+        more = [c for c in own[file.path] if tachometer is None or c.name != tachometer.name]
+        more_loads, more = guess_loads(more) if has_loads else ({}, more)
         more_mapped = _guess_channels(more, geometry)[0]
         lines += [*_run_lines(file, geometry), *difference_lines(file, "channels", mapped, more_mapped, channel_line)]
         if _kind(file.path) in (None, *KINDS_WITH_LOADS):
@@ -90,7 +102,8 @@ def _needed_loads(file: ForeignFile, loads: Entries) -> Entries:
 
 def _is_tachometer(channel: ForeignChannel) -> bool:
     """Whether a channel has the name of a tachometer, and is no speed in rpm or Hz."""
-    return bool(TACHOMETER.search(channel.signal)) and unit_of(channel.unit, FREQUENCY) is None
+    has_name = bool(TACHOMETER.search(channel.signal)) and not NO_ROTOR.search(channel.signal)
+    return has_name and unit_of(channel.unit, FREQUENCY) is None
 
 
 def _of_other_length(file: ForeignFile, time: ForeignChannel | None) -> list[ForeignChannel]:
@@ -150,10 +163,11 @@ def _guess_channels(
 def _channel_line(geometry: Geometry | None, channel: ForeignChannel, target: str) -> str:
     declared = geometry.reading_units([target]) if geometry is not None else {}
     is_reading = not channel.unit or bool(unit_of(channel.unit, declared.get(target, "V")))
-    entry = [f"name: {quoted(target)}", f"unit: {quoted(channel.unit or UNFINISHED)}"]
+    unit, comment = channel.unit or UNFINISHED, "" if channel.unit else "  # the file states no unit: V, mV ..."
+    if not is_reading:
+        unit, comment = _scaled_unit(channel)
+    entry = [f"name: {quoted(target)}", f"unit: {quoted(unit)}"]
     entry += [] if is_reading and not channel.scale else ["scale: TODO"]
-    comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
-    comment = comment if is_reading else "  # volts for one unit, or remove it"
     if channel.scale:
         comment = f"  # integers: the file states {channel.scale}, which are not applied"
     if channel.is_raw:
@@ -161,33 +175,22 @@ def _channel_line(geometry: Geometry | None, channel: ForeignChannel, target: st
     return f"  {quoted(channel.key)}: {{{', '.join(entry)}}}{comment}"
 
 
+def _scaled_unit(channel: ForeignChannel) -> tuple[str, str]:
+    """The unit of a channel that is not in volts, and a comment that says for what its `scale` is."""
+    text = channel.unit.strip()
+    if text == "g" and WEIGHT_NAME.search(channel.signal):
+        return WEIGHT_UNIT, "  # the file says g, a weight here; scale: volts for one N, or remove it"
+    unit = unit_of(text, ACCELERATION) if text == "g" else unit_of(text)
+    if unit is None:
+        return "V", f"  # the file says {text}; scale: volts for one {text}, or remove it"
+    base = "a value of 1" if unit.dimension == NUMBER else f"one {unit.dimension}"
+    return text, f"  # volts for {base}, or remove it"
+
+
 def _nearest(name: str, names: Sequence[str]) -> str | None:
     plain = {re.sub(r"\W|_", "", known.lower()): known for known in names}
     match = difflib.get_close_matches(re.sub(r"\W|_", "", name.lower()), plain, n=1, cutoff=SIMILARITY)
     return plain[match[0]] if match else None
-
-
-FORCE_MEMBER = re.compile(r"(f|m|force|moment|torque|load|kraft|last)\b", re.IGNORECASE)
-"""Names of members of a structure that may have its load."""
-
-
-def _guess_loads(
-    channels: Sequence[ForeignChannel],
-) -> tuple[dict[str, tuple[ForeignChannel, str]], list[ForeignChannel]]:
-    """Channels whose name contains a component and whose unit is not another; and the others."""
-    loads: dict[str, tuple[ForeignChannel, str]] = {}
-    rest = []
-    for channel in channels:
-        # A structure `sweep_Fx` holds its force beside times and channels that are none.
-        member = re.split(r"[./]", channel.signal)[-1]
-        words = re.split(r"[^A-Za-z]+", channel.signal if FORCE_MEMBER.match(member) else member)
-        component = next((name for name in COMPONENTS if name.lower() in [word.lower() for word in words]), None)
-        unit = unit_of(channel.unit, FORCE, MOMENT)
-        if component and (unit or not channel.unit) and component not in [name for _, name in loads.values()]:
-            loads[channel.name] = (channel, component)
-        else:
-            rest.append(channel)
-    return loads, rest
 
 
 def _load_line(channel: ForeignChannel, component: str) -> str:

@@ -14,7 +14,7 @@ from balance_cli.io.units import TIME, Unit, can_be_unit_of, is_unit, parse_unit
 
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
 TIME_NAMES |= {"millis", "micros"}
-UNNAMED = ("column 1", "X", "x")
+UNNAMED = re.compile(r"column \d+|X", re.IGNORECASE)
 """First column of a text without names, or with that of an abscissa."""
 TIMES_READ = 4096
 """Samples of a column of times from which its step is told."""
@@ -72,7 +72,7 @@ def empty_times(file: ForeignFile) -> list[ForeignChannel]:
 def even_column(file: ForeignFile) -> ForeignChannel | None:
     """Return the first of columns without names that holds even times, but no numbers of rows."""
     group = file.groups[0]
-    if group.rate is not None or group.unusable or group.names[0] not in UNNAMED:
+    if group.rate is not None or group.unusable or not UNNAMED.fullmatch(group.names[0]):
         return None
     for column in range(min(2, len(group.channels))):
         axis = time_axis(group, column)

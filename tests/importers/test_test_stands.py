@@ -1,0 +1,198 @@
+"""Exports of loggers, oscilloscopes and test stands whose heads had given wrong names, times or units."""
+
+import numpy as np
+import pytest
+import yaml
+
+from balance_cli.importers import open_foreign
+from balance_cli.importers.base import ChannelGroup, ForeignChannel
+from balance_cli.importers.stated_clock import stated_rates
+from balance_cli.importers.time_axis import read_time_axis
+from balance_cli.importers.uneven_times import evened_group
+from balance_cli.io.errors import UserError
+from balance_cli.io.text_format import find_encoding
+from balance_cli.steps.import_sketch import sketch_map
+
+COUNT = 60
+TIME = np.arange(COUNT) / 20.0
+X = np.round(np.random.default_rng(7).uniform(-9, 9, (COUNT, 2)), 4)
+GRAPHTEC = 'Vendor,"GRAPHTEC Corporation"\nModel,"GL000"\nSampling interval,50ms\nAMP settings\nCH,Input,Unit\n'
+GRAPHTEC += "CH1,DC,[mV]\nData\nNumber,Date,Time,ms,A,B\nNO.,Date,Time,ms,mV,A\n"
+LABCHART = "Interval=\t0.05 s\nTimeFormat=\tStartOfBlock\nChannelTitle=\tA\tB\nRange=\t2.000 V\t50.0 mmHg\n"
+LABCHART += "UnitName=\t*\tmmHg\nTopValue=\t*\t56.44\nBottomValue=\t*\t-0.09\n"
+KYOWA = '"タイトル","試験"\n"サンプリング周波数(Hz)",20\n"CH名称","A","B"\n"CH No","CH1","CH2"\n"レンジ",10,10\n'
+KYOWA += '"オフセット",0,0\n"単位","mV","με"\n'
+TEKTRONIX = "Model,MDO\nHorizontal Units,S,\nSample Interval,0.05,\nProbe Attenuation,10,1\nVertical Units,V,V\n"
+TEKTRONIX += "Vertical Offset,0,0\nTIME,A,B\n"
+SCANNER = "Source:\ta.svd\nComponent:\tRoot\nSignal:\tTime - Velocity\n\nTime\tA\tB\n[ s ]\t[ m/s ]\t[ V ]\n"
+TUNNEL = "Nr\tTime\tangle\tA\tB\tV\n/\tH:M:S\tdegrees\tsteps\tsteps\tm/s\n"
+ANALOG = "File_Type:\tAnalog\tGeneration#:\nBitDepth:\t16\tPreciseRate:\nName\tA\tB\nRate\t20\t20\nRange\t10000\t5000\n"
+PLATE = "NO_OF_SAMPLES\t60\nFREQUENCY\t20\nDESCRIPTION\tForce data\nA\tB\tCOP_X\n"
+
+
+def rows(form):
+    return "".join(form.format(t=TIME[k], a=X[k, 0], b=X[k, 1], **parts(k)) + "\n" for k in range(COUNT))
+
+
+def parts(k):
+    return {"k": k + 1, "h": f"12:00:{k // 20:02d}", "ms": 50 * (k % 20), "sa": f"{X[k, 0]:+.4f}".replace("-", "- ")}
+
+
+DIALECTS = {
+    "Graphtec": (GRAPHTEC + rows("{k},2024/03/11,{h},{ms},{a:+},{b:+}"), "A: {name: A, unit: mV}"),
+    "Graphtec, signs apart": (GRAPHTEC + rows("{k},2024/03/11,{h},{ms},{sa},{b:+}"), "A: {name: A, unit: mV}"),
+    "LabChart": (LABCHART + rows("{t:.2f}\t{a}\t{b}"), "time: column 1\ntime_unit: s  # the head states the same"),
+    "Kyowa": (KYOWA + rows("{t:.2f},{a},{b}"), "A: {name: A, unit: mV}"),
+    "Tektronix": (TEKTRONIX + rows("{t:.2f},{a},{b}"), "time: TIME"),
+    "a laser vibrometer": (SCANNER + rows("{t:.6e}\t{a}\t{b}"), "B: {name: B, unit: V}"),
+    "Cortex": (ANALOG + rows("{t:.2f}\t{a}\t{b}"), "time: column 1"),
+    "a monitor of Arduino": ("12:00:00.000 -> x,A,B\n" + rows("{h}.{ms:03d} -> {k},{a},{b}"), "time: column 1"),
+    "a thrust stand with fewer cells than names": (
+        "Time (s),A (mV),B (kgf),App message,Message,Acceleration (RPM/s),\n" + rows("{t:.2f},{a},{b},,"),
+        "#   the rows have no cells for the last names of the head: Acceleration (RPM/s)",
+    ),
+}
+
+
+def opened(tmp_path, text, encoding="utf-8"):
+    (tmp_path / "run-1.txt").write_bytes(text.encode(encoding))
+    return open_foreign(tmp_path / "run-1.txt")
+
+
+def whole(file, name):
+    group = next(group for group in file.groups if name in group.names)
+    return group.read([group.names.index(name)], 0, group.samples)[:, 0]
+
+
+@pytest.mark.parametrize(("text", "said"), DIALECTS.values(), ids=DIALECTS)
+def test_names_times_and_values(tmp_path, text, said):
+    file = opened(tmp_path, text)
+    np.testing.assert_array_equal(np.column_stack([whole(file, "A"), whole(file, "B")]), X)
+    sketch = sketch_map([file], None)
+    assert said in sketch
+    time = whole(file, yaml.safe_load(sketch)["time"])
+    np.testing.assert_allclose(time - time[0], TIME, atol=1e-6)
+    assert {"No.", "ms", "Number", "NO."}.isdisjoint(yaml.safe_load(sketch)["channels"])
+
+
+def test_units_that_are_none_of_readings_are_units(tmp_path):
+    """Cells of the row of units were names: `H:M:S`, `hPa`, `m` in s for V in m/s."""
+    file = opened(tmp_path, TUNNEL + rows("{k}\t{h}\t-2.0\t{a}\t{b}\t54.8"))
+    units = {channel.name: channel.unit for group in file.groups for channel in group.channels}
+    assert units == {"Nr": "", "Time": "s", "angle": "degrees", "A": "steps", "B": "steps", "V": "m/s"}
+    entries = yaml.safe_load(sketch_map([file], None))["channels"]
+    assert entries["A"] == {"name": "A", "unit": "steps", "scale": "TODO"}
+    assert entries["V"] == {"name": "V", "unit": "V", "scale": "TODO"}  # volts for one m/s
+
+
+@pytest.mark.parametrize("head", ["A,T,V\nA,B,C\n", "Rig,Rig,Rig\nt,A,N\n", "Force,Force,Torque\nX,Y,Z\n"])
+def test_names_below_names_are_no_units(tmp_path, head):
+    file = opened(tmp_path, head + rows("{t:.2f},{a},{b}"))
+    assert {channel.unit for channel in file.groups[0].channels} == {""}
+    assert [channel.name for channel in file.groups[0].channels] == head.splitlines()[1].split(",")
+
+
+@pytest.mark.parametrize(("text", "encoding"), [(KYOWA, "cp932"), ("时间,载荷一,载荷二,温度\n", "gb18030")])
+def test_east_asian_code_pages(tmp_path, text, encoding):
+    file = opened(tmp_path, text.replace("με", "μ").replace('"A"', '"荷重"') + rows("{t:.2f},{a},{b},1"), encoding)
+    assert {"荷重", "载荷一"} & {name for group in file.groups for name in group.names}
+
+
+@pytest.mark.parametrize("text", ["Größe;Länge;Weiß\n", "µε;°C;Öß\n", "température;été;Ünïté\n", "50 Ω · ±5 °\n"])
+def test_western_text_stays_western(text):
+    assert find_encoding(text.encode("cp1252", "ignore")) == "cp1252"
+
+
+def test_settings_beside_the_data_are_no_channels(tmp_path):
+    settings = ["Record Length,60,,", "Sample Interval,5.0e-02,,", "Source,CH1,,"]
+    lines = [f"{settings[k] if k < 3 else ',,,'}{TIME[k]:.6f},{X[k, 0]},\n" for k in range(COUNT)]
+    entries = yaml.safe_load(sketch_map([opened(tmp_path, "".join(lines))], None))
+    assert entries["time"] == "column 4" and list(entries["channels"]) == ["column 5"]
+
+
+@pytest.mark.parametrize(
+    ("head", "rate"),
+    [
+        ("Interval=\t0.001 s\n", 1000.0),
+        ("//  Update Rate: 100.0Hz\n", 100.0),
+        (PLATE, 20.0),
+        ("FREQUENCY\t50\n", None),
+        ("Interval of tests: 5\n", None),
+        ("Display update rate: 2 Hz\n", None),
+    ],
+)
+def test_rates_of_heads(head, rate):
+    assert stated_rates(head.splitlines()) == (() if rate is None else (rate,))
+
+
+# ---- what a sketch makes of units and names --------------------------------------------------------------------------
+
+
+def sketch(tmp_path, head, name="run-1.txt", values="{t:.2f},{a},{b}"):
+    (tmp_path / name).write_text(head + rows(values), encoding="utf-8")
+    text = sketch_map([open_foreign(tmp_path / name)], None)
+    return text, yaml.safe_load(text)
+
+
+def test_a_scale_is_for_the_base_unit(tmp_path):
+    """The comment said volts for one unit, of kN: an import by it was 1000 times off."""
+    text, _ = sketch(tmp_path, "t [s],P [kN],I [A]\n")
+    assert "unit: kN, scale: TODO}  # volts for one N, or remove it" in text
+    assert "unit: V, scale: TODO}  # the file says A; scale: volts for one A, or remove it" in text
+
+
+@pytest.mark.parametrize(("name", "unit"), [("load cell", "gf"), ("acc 1", "g")])
+def test_grams_of_a_weight_are_no_acceleration(tmp_path, name, unit):
+    assert sketch(tmp_path, f"t [s],{name} [g],B [V]\n")[1]["channels"][name]["unit"] == unit
+
+
+def test_the_speed_of_the_air_is_no_tachometer(tmp_path):
+    entries = sketch(tmp_path, "t [s],Air_speed,Speed\n")[1]
+    assert entries["rotor"]["channel"] == "Speed" and "Air_speed" in entries["channels"]
+
+
+def test_components_of_a_wind_run_are_readings(tmp_path):
+    """They were loads, which a wind run has none of: the map had no channel that the balance reads."""
+    assert set(sketch(tmp_path, "t [s],Fx [N],Fz [N]\n", "wind-1.csv")[1]["channels"]) == {"Fx", "Fz"}
+    entries = sketch(tmp_path, "t [s],Fx [N],Fz [N]\n", "sweep-1.csv")[1]
+    assert set(entries["loads"]) == {"Fx", "Fz"} and entries["channels"] == "TODO"
+
+
+def test_torques_of_force_sensors_are_moments(tmp_path):
+    head = "t,Fx,Fy,Fz,Tx,wrench.torque.y,T\n"
+    loads = sketch(tmp_path, head, "sweep-1.csv", "{t:.2f},{a},{b},1,{a},{b},1")[1]["loads"]
+    assert {name: entry["component"] for name, entry in loads.items()} == {
+        **{name: name for name in ("Fx", "Fy", "Fz")},
+        **{"Tx": "Mx", "wrench.torque.y": "My"},
+    }
+
+
+# ---- times -----------------------------------------------------------------------------------------------------------
+
+
+def test_rows_of_several_sensors_are_named():
+    """They may be samples of one with times of few digits, which they were taken for without a word."""
+    times = np.repeat(TIME, 2)
+    axis = read_time_axis(lambda columns, a, b: times[a:b, None], len(times))
+    assert axis.rate == pytest.approx(40.0, rel=1e-3) and "each is there 2 times: rows of several sensors" in axis.note
+    times = np.repeat(TIME**1.05, 2)
+    with pytest.raises(UserError, match=r"each time is there 2 times") as caught:
+        read_time_axis(lambda columns, a, b: times[a:b, None], len(times))
+    assert "Save the rows of each sensor" in caught.value.remedy
+
+
+def test_a_time_that_is_there_twice_is_taken_once():
+    jitter = np.random.default_rng(3).uniform(-0.01, 0.01, COUNT)
+    times = np.concatenate([TIME[:1], TIME + jitter])
+    times[0] = times[1]
+    values = np.concatenate([[99.0], np.sin(times[1:])])
+    values[:2] = values[1], 99.0
+
+    group = ChannelGroup(
+        (ForeignChannel("A", "V"),), len(times), lambda columns, a, b: values[a:b, None][:, list(columns)]
+    )
+    evened = evened_group(group, times, 20.0)
+    assert evened is not None and "1 of 61 rows have the time of the row above" in evened.note
+    read = evened.group.read([0], 0, evened.group.samples)[:, 0]
+    at = times[0] + np.arange(len(read)) / 20.0
+    np.testing.assert_allclose(read, np.sin(at), atol=1e-4)
