@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from balance_cli.importers.base import Array, ChannelGroup, ForeignFile, ReadBlock
+from balance_cli.io.errors import UserError
 
 LARGEST_GAP = 0.5
 """Samples by which the clock of a piece may differ from the end of the one before: more is a sample too many or few."""
@@ -38,7 +39,10 @@ def _join_files(files: Sequence[ForeignFile], time: str | None) -> ForeignFile |
         if not all(_continues(one, other) for one, other in pairwise(known)):
             return None
     ordered = [files[place] for place in order]
-    groups = tuple(_join([file.groups[k] for file in ordered]) for k in range(len(files[0].groups)))
+    groups = tuple(
+        _join([file.groups[k] for file in ordered], [str(file.path) for file in ordered])
+        for k in range(len(files[0].groups))
+    )
     names = ", ".join(file.path.name for file in ordered)
     note = f"{len(files)} files with the same channels continue each other, and are one record: {names}"
     labels = {name: _join_labels([file.labels[name] for file in ordered]) for name in ordered[0].labels}
@@ -61,11 +65,22 @@ def _continues(one: tuple[float, float, float], other: tuple[float, float, float
     return bool(least <= other[0] - one[1] <= one[2])
 
 
-def _join(pieces: Sequence[ChannelGroup]) -> ChannelGroup:
+def _join(pieces: Sequence[ChannelGroup], paths: Sequence[str]) -> ChannelGroup:
     ends = np.cumsum([group.samples for group in pieces])
-    return replace(
-        pieces[0], samples=int(ends[-1]), read=_read_through([group.read for group in pieces], ends.tolist())
-    )
+    reads = [_named(group.read, path) for group, path in zip(pieces, paths, strict=True)]
+    return replace(pieces[0], samples=int(ends[-1]), read=_read_through(reads, ends.tolist()))
+
+
+def _named(read: ReadBlock, path: str) -> ReadBlock:
+    """A reader whose errors name the file of the piece, not the first one of the record."""
+
+    def named(columns: Sequence[int], start: int, stop: int) -> Array:
+        try:
+            return read(columns, start, stop)
+        except UserError as error:
+            raise error.with_location(file=path) from error
+
+    return named
 
 
 def _read_through(reads: Sequence[ReadBlock], ends: Sequence[int]) -> ReadBlock:

@@ -12,7 +12,7 @@ from balance_cli.campaign.recording.additions import FORCE, TEMPERATURE, RunAddi
 from balance_cli.campaign.recording.dataset_checks import KINDS_WITH_LOADS
 from balance_cli.campaign.recording.import_map import ImportMap
 from balance_cli.campaign.recording.import_map_file import DeclaredRun
-from balance_cli.campaign.recording.recorded_time import unreadable_time
+from balance_cli.campaign.recording.recorded_time import date_of_start, unreadable_time
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -26,6 +26,7 @@ from balance_cli.signals.run_samples import sample_rate
 from balance_cli.steps.import_additions import addition_signals, additions_of
 from balance_cli.steps.import_excitation import excitation_signals
 from balance_cli.steps.import_labels import point_labels
+from balance_cli.steps.import_level import rms_about_drift
 from balance_cli.steps.import_rotor import rotor_reference
 from balance_cli.steps.import_signals import ANGLE_UNIT, ChannelFinder, Signal, mapped_signals, other_signal
 from balance_cli.steps.import_source import ImportedSource, SignalMatrix, signal_matrix
@@ -210,6 +211,7 @@ def _complete(
         run = replace(run, level=_rms_levels(run))
         notes.append(f"level of the excitation, rms over the record: {', '.join(f'{x:.4g}' for x in run.level)}")
     start = None if timeline is None else timeline.start
+    run = replace(run, recorded=run.recorded or date_of_start(start))
     if run.excitation == IMPACT and run.has_loads:
         notes += _hit_notes(run)
     return ImportedRun(run, reference, tuple(dict.fromkeys(notes)), start)
@@ -265,13 +267,11 @@ def _has_forces_only(run: Run) -> bool:
 
 
 def _rms_levels(run: Run) -> tuple[float, ...]:
-    """Root mean square [N, N m] of the excited loads about their means."""
-    sums, squares = np.zeros(len(COMPONENTS)), np.zeros(len(COMPONENTS))
-    for start in range(0, run.samples, BLOCK):
-        loads = _recorded_loads(run, start, min(start + BLOCK, run.samples))
-        sums += loads.sum(axis=0)
-        squares += (loads**2).sum(axis=0)
-    rms = np.sqrt(np.maximum(squares / run.samples - (sums / run.samples) ** 2, 0.0))
+    """Root mean square [N, N m] of the excited loads about their means; of one that drifts about its drift."""
+    blocks = (
+        (start, _recorded_loads(run, start, min(start + BLOCK, run.samples))) for start in range(0, run.samples, BLOCK)
+    )
+    rms = rms_about_drift(blocks, run.samples)
     return tuple(float(f"{rms[COMPONENTS.index(name)]:.{LEVEL_DIGITS}g}") for name in run.excited)
 
 

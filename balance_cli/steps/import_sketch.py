@@ -21,6 +21,7 @@ from balance_cli.io.units import ACCELERATION, ANGLE, FREQUENCY, NUMBER
 from balance_cli.steps.sketched_differences import Entries, base_file, difference_lines, own_channels
 from balance_cli.steps.sketched_loads import guess_loads
 from balance_cli.steps.sketched_rates import quoted, rate_lines
+from balance_cli.steps.sketched_temperatures import guess_temperatures, temperature_lines
 from balance_cli.steps.sketched_times import empty_times, even_column, time_channel, unit_of
 
 NO_CHANNELS = "all columns have names of loads: move here what the balance reads"
@@ -66,18 +67,19 @@ def _map_of(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     tachometer = next((channel for channel in chain(rest, *own.values()) if _is_tachometer(channel)), None)
     rest = [channel for channel in rest if channel is not tachometer]
     kinds = [_kind(file.path) for file in files]
-    # Zero and wind runs have no loads: what they call so are readings.
     has_loads = any(kind in (None, *KINDS_WITH_LOADS) for kind in kinds)
     loads, rest = guess_loads(rest) if has_loads else ({}, rest)
     lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_file_comments(files)]
     if any(kind != "static" for kind in kinds):
         lines += rate_lines(first, time)
     lines += [f"# not as long as `{time.name}`: {', '.join(c.name for c in others)}"] if time and others else []
+    temperatures, rest = guess_temperatures(rest, files)
     mapped, free = _guess_channels(rest, geometry)
     channel_line = partial(_channel_line, geometry)
     lines += ["channels:" + ("" if mapped else f" {UNFINISHED}  # {NO_CHANNELS}")]
     lines += [channel_line(*entry) for entry in mapped.values()]
     lines += [f"  # channels of the geometry that were not found: {', '.join(free)}"] if free else []
+    lines += temperature_lines(temperatures)
     lines += (
         ["loads:", *(_load_line(*entry) for entry in loads.values())]
         if loads

@@ -21,7 +21,10 @@ _TORQUE = re.compile(r"T([xyz])$", re.IGNORECASE)
 def guess_loads(
     channels: Sequence[ForeignChannel],
 ) -> tuple[dict[str, tuple[ForeignChannel, str]], list[ForeignChannel]]:
-    """Return the channels whose name contains a component and whose unit is not another, and the others."""
+    """Return the channels whose name contains a component and whose unit is not another, and the others.
+
+    It is no guess for files of zero and wind runs alone, which have no loads: what they call so are readings.
+    """
     loads: dict[str, tuple[ForeignChannel, str]] = {}
     rest = []
     forces = {_component(channel) for channel in channels}

@@ -28,14 +28,23 @@ def _last_name(channel: ForeignChannel) -> str:
 def time_channel(file: ForeignFile) -> ForeignChannel | None:
     """Return the first channel with the name of a time, and with a value; one in a unit of time before others."""
     found = [
-        channel
+        (channel, group, column)
         for group in file.groups
         for column, channel in enumerate(group.channels)
         if not group.unusable and _names_time(channel, column, group.rate is not None)
         if group.samples and np.isfinite(group.read([column], 0, 1)).all()
     ]
-    # A thrust or a torque is called `T`, too.
-    return min(found, key=lambda channel: (not _in_unit_of_time(channel), len(_last_name(channel)) == 1), default=None)
+    if len(found) < 2:
+        return found[0][0] if found else None
+
+    def rank(candidate: tuple[ForeignChannel, ChannelGroup, int]) -> tuple[bool, bool, bool]:
+        channel, group, column = candidate
+        # A thrust or a torque is called `T`, too; the times at which a computer got the samples are uneven.
+        unit = parse_unit(channel.unit, TIME).factor if _in_unit_of_time(channel) else 1.0
+        is_even = group.rate is not None or time_axis(group, column, unit) is not None
+        return not _in_unit_of_time(channel), not is_even, len(_last_name(channel)) == 1
+
+    return min(found, key=rank)[0]
 
 
 def _in_unit_of_time(channel: ForeignChannel) -> bool:
@@ -83,10 +92,11 @@ def even_column(file: ForeignFile) -> ForeignChannel | None:
     return None
 
 
-def time_axis(group: ChannelGroup, column: int) -> TimeAxis | None:
-    """Return the even times at the beginning of a column, None where they are not."""
+def time_axis(group: ChannelGroup, column: int, factor: float = 1.0) -> TimeAxis | None:
+    """Return the even times at the beginning of a column, of which `factor` makes seconds; None where they are not."""
+    count = min(group.samples, TIMES_READ)
     try:
-        return read_time_axis(lambda _, first, last: group.read([column], first, last), min(group.samples, TIMES_READ))
+        return read_time_axis(lambda _, first, last: group.read([column], first, last), count, factor)
     except UserError:
         return None
 

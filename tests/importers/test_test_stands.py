@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
+from balance_cli.campaign.recording.recorded_time import date_of_start
 from balance_cli.importers import open_foreign
 from balance_cli.importers.base import ChannelGroup, ForeignChannel
 from balance_cli.importers.stated_clock import stated_rates
@@ -11,6 +12,8 @@ from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.importers.uneven_times import evened_group
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import find_encoding
+from balance_cli.steps.import_level import rms_about_drift
+from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_sketch import sketch_map
 
 COUNT = 60
@@ -196,3 +199,51 @@ def test_a_time_that_is_there_twice_is_taken_once():
     read = evened.group.read([0], 0, evened.group.samples)[:, 0]
     at = times[0] + np.arange(len(read)) / 20.0
     np.testing.assert_allclose(read, np.sin(at), atol=1e-4)
+
+
+def test_the_even_one_of_two_times_is_taken(tmp_path):
+    """The first was, at which a computer got the samples in bursts."""
+    lines = "".join(f"{0.15 * (k // 3) + 0.001 * (k % 3):.3f},{1000 + 50 * k},{X[k, 0]}\n" for k in range(COUNT))
+    file = opened(tmp_path, "Timestamp [s],t [ms],A\n" + lines)
+    assert yaml.safe_load(sketch_map([file], None))["time"] == "t"
+
+
+def test_temperatures_of_all_files_are_no_channels(tmp_path):
+    (tmp_path / "zero-1.csv").write_text("t [s],A [V],T1 [degC],Temp [C]\n" + rows("{t:.2f},{a},{b},20"))
+    (tmp_path / "zero-2.csv").write_text("t [s],A [V]\n" + rows("{t:.2f},{a}"))
+    one, two = open_foreign(tmp_path / "zero-1.csv"), open_foreign(tmp_path / "zero-2.csv")
+    entries = yaml.safe_load(sketch_map([one], None))
+    assert entries["temperature"] == {
+        **{"T1": {"name": "T1", "unit": "degC"}, "Temp": {"name": "Temp", "unit": "degC"}},
+    }
+    assert set(entries["channels"]) == {"A"}
+    assert "temperature" not in yaml.safe_load(sketch_map([one, two], None))
+
+
+def test_a_drift_is_not_in_the_level_of_an_excitation():
+    """`check` warned of a level that nobody had stated."""
+    noise = np.random.default_rng(5).normal(size=(20000, 2))
+    record = noise + np.exp(-np.arange(20000.0) / 7000.0)[:, None] * [0.0, 20.0] + 50.0
+    blocks = [(start, record[start : start + 6000]) for start in range(0, 20000, 6000)]
+    level = rms_about_drift(blocks, 20000)
+    assert level[0] == pytest.approx(record[:, 0].std(), rel=1e-9) and level[1] == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("start", "date"), [(1.7e9 + 0.25, "2023-11-14T22:13:20.250"), (0.0, None), (3.9e9, None), (None, None)]
+)
+def test_dates_of_the_times_are_those_of_the_record(start, date):
+    assert date_of_start(start) == date
+
+
+def test_a_bad_row_of_a_joined_record_is_named_with_its_file(tmp_path):
+    for part in range(2):
+        lines = [f"{TIME[k] + 3.0 * part:.2f},{X[k, 0]}" for k in range(COUNT)]
+        lines[30] += "x" * part
+        (tmp_path / f"zero-{part}.csv").write_text("t [s],A [V]\n" + "\n".join(lines) + "\n")
+    files = [open_foreign(tmp_path / f"zero-{part}.csv") for part in range(2)]
+    joined = joined_pieces(files, {"A"}, "t")
+    assert len(joined) == 1
+    with pytest.raises(UserError, match="not a number") as caught:
+        joined[0].groups[0].read([1], 0, joined[0].groups[0].samples)
+    assert caught.value.file.endswith("zero-1.csv") and caught.value.place.startswith("row 32")
