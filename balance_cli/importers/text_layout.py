@@ -24,7 +24,7 @@ from balance_cli.importers.text_names import KEY, NAME_KEYS, counts_rows, names_
 from balance_cli.importers.time_columns import time_columns
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import SEPARATORS, is_remark
-from balance_cli.io.text_numbers import group_sign, is_missing, is_number, require_clear_decimals
+from balance_cli.io.text_numbers import group_sign, is_complex, is_missing, is_number, require_clear_decimals
 
 NUMERIC_SHARE = 0.5
 """Share of the cells of a row that must be numbers, times or empty for a row of data; a row of names has hardly any."""
@@ -268,7 +268,7 @@ def _begins_wider_rows(rows: Sequence[Sequence[str]], last: int, width: int, dec
 def _is_data(row: Sequence[str], decimal: str) -> bool:
     if row and KEY.match(row[0]):
         return False
-    values = [cell for cell in row if not is_missing(cell)]
+    values = [cell for cell in row if not is_missing(cell) and not is_complex(cell)]
     numbers = sum(is_number(cell, decimal) for cell in values)
     clocks = sum(bool(CLOCK.match(cell)) for cell in values)
     return numbers > 0 and numbers + clocks >= NUMERIC_SHARE * len(values)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.importers.base import Array, ReadBlock
+from balance_cli.importers.missing_rows import require_no_gap
 from balance_cli.importers.uneven_times import are_uneven
 from balance_cli.importers.written_times import read_written_times
 from balance_cli.io.errors import UserError
@@ -110,6 +111,8 @@ def _even_times(read: ReadBlock, samples: int, factor: float) -> TimeAxis:
         errors = (read([0], 0, min(BLOCK, samples))[:, 0] * factor - written.start) * written.rate
         return TimeAxis(written.rate, written.start, float(np.abs(errors - np.arange(len(errors))).max()))
     scatter = _scatter(read, samples, first, step, mean - step * middle)
+    if samples <= BLOCK:
+        require_no_gap(read([0], 0, samples)[:, 0])
     rate = 1.0 / (step * factor)
     if abs(rate - round(rate)) < WHOLE_RATE_TOLERANCE * rate and round(rate) > 0:
         rate = float(round(rate))

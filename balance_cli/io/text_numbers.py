@@ -35,6 +35,7 @@ _PLAIN = {
     sign: re.compile(rf"^[-+]?(\d+{mark}?\d*|{mark}\d+)({_ENDS})?$|^[-+]?inf(inity)?$", re.IGNORECASE)
     for sign, mark in ((".", r"\."), (",", ","))
 }
+_COMPLEX = re.compile(rf"^\(?[-+]?(?:\d+\.?\d*|\.\d+)(?:{_ENDS})? ?[-+] ?(?:\d+\.?\d*|\.\d+)(?:{_ENDS})?[ij]\)?$")
 _GROUPED = {
     decimal: re.compile(
         rf"^[-+]?[1-9]\d{{0,2}}(?:(?P<sign>[{''.join(s for s in GROUP_SIGNS if s != decimal)}])\d{{3}})"
@@ -47,6 +48,11 @@ _GROUPED = {
 def is_missing(cell: str) -> bool:
     """Whether a cell stands for no value."""
     return cell.lower() in MISSING_WORDS
+
+
+def is_complex(cell: str) -> bool:
+    """Whether a cell is a complex number as Python and MATLAB write it, `(1.5-2e-3j)` or `1.5 - 0.002i`."""
+    return bool(_COMPLEX.match(cell))
 
 
 def is_number(cell: str, decimal: str) -> bool:

@@ -22,7 +22,7 @@ PART_WORDS = {
 """Words, English and German, before or after the name of a response, by the key of the map whose array they name."""
 COMPLETE = (("value",), ("real", "imaginary"), ("magnitude", "phase"))
 """Parts that are a complex number."""
-FREQUENCY_NAMES = ("f", "freq", "frequency", "hz")
+FREQUENCY_NAMES = ("f", "freq", "frequency", "frequenz", "hz")
 UNIT_LINES = (("dB", "magnitude_unit: dB"), ("rad", "phase_unit: rad"))
 """Units of parts of complex numbers that a map states, where they are not the usual ones."""
 MOST_LISTED = 100
@@ -112,7 +112,7 @@ def _pairs_of_file(file: Variables, channel_names: Sequence[str]) -> Iterator[Sk
         keys = next((keys for keys in COMPLETE if all(key in parts for key in keys)), None)
         if keys is None:
             continue
-        channel = _longest_within(channel_names, base)
+        channel = _longest_within(channel_names, base) or _longest_within(channel_names, file.path.stem)
         rest = re.sub(_pattern(channel), " ", base) if channel else base
         component = _longest_within(COMPONENTS, rest) or _longest_within(COMPONENTS, file.path.stem)
         stated = file.units.get(parts[keys[0]], "")
@@ -122,8 +122,13 @@ def _pairs_of_file(file: Variables, channel_names: Sequence[str]) -> Iterator[Sk
 
 
 def _base_and_part(name: str) -> tuple[str, str]:
-    """Return a name without the word for a part of a complex number, and the key of that part; `` without one."""
+    """Return a name without the word for a part of a complex number, and the key of that part; `` without one.
+
+    A table of one response may have the words alone as names.
+    """
     for part, words in PART_WORDS.items():
+        if re.fullmatch(words, name, re.IGNORECASE):
+            return "", part
         for pattern in (rf"(?:{words})[\s_.:([-]+(.+?)[\s)\]]*", rf"(.+?)[\s_.:([-]+(?:{words})[\s)\]]*"):
             found = re.fullmatch(pattern, name, re.IGNORECASE)
             if found:

@@ -184,6 +184,29 @@ def test_rows_of_several_sensors_are_named():
     assert "Save the rows of each sensor" in caught.value.remedy
 
 
+@pytest.mark.parametrize(("samples", "missing"), [(12, 6), (60, 9), (200, 100), (1000, 500)])
+def test_a_missing_sample_in_a_short_record_is_found(samples, missing):
+    """The rate was up to 2.5 % off: half a step to either side of a straight line passed for rounding."""
+    times = np.delete(np.arange(samples + 1), missing) / 1000.0
+    with pytest.raises(UserError, match="a step is 2 times the others") as caught:
+        read_time_axis(lambda columns, a, b: times[a:b, None], samples)
+    assert caught.value.place == f"sample {missing + 1}"
+
+
+@pytest.mark.parametrize("rate", [96.0, 104.17, 333.3, 990.0, 1017.3])
+@pytest.mark.parametrize("samples", [15, 40, 700])
+def test_rounded_times_have_no_missing_sample(rate, samples):
+    times = np.round(0.123 + np.arange(samples) / rate, 3)
+    axis = read_time_axis(lambda columns, a, b: times[a:b, None], samples)
+    assert axis.rate == pytest.approx(rate, rel=0.5 / samples)
+
+
+def test_a_computer_that_was_late_once_has_no_missing_sample():
+    times = TIME.copy()
+    times[30] += 0.6 / 20.0
+    assert read_time_axis(lambda columns, a, b: times[a:b, None], COUNT).rate == pytest.approx(20.0, rel=1e-2)
+
+
 def test_a_time_that_is_there_twice_is_taken_once():
     jitter = np.random.default_rng(3).uniform(-0.01, 0.01, COUNT)
     times = np.concatenate([TIME[:1], TIME + jitter])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from balance_cli.importers.frf.variables import Variables
+from balance_cli.importers.base import TextLayout
+from balance_cli.importers.frf.variables import Variables, open_variables
 from balance_cli.steps.frf_sketch import sketch_frf_map
 from balance_cli.steps.frf_sketch_arrays import SketchedArrays
 from tests.support.rigs import CONFIGS, load_geometry
@@ -37,6 +38,28 @@ def test_magnitude_and_phase_of_a_channel_are_a_pair(magnitude, phase):
     assert sketch["responses"] == {"x.strain": {"name": "x.strain", "unit": "N"}}
     assert sketch["references"] == {"Fy": {"component": "Fy", "unit": "N"}}
     assert sketch["phase_unit"] == "rad" and sketch["frequency"] == "Frequency"
+
+
+@pytest.mark.parametrize(
+    ("columns", "parts"),
+    [
+        ({"Real": "m/s^2/N", "Imag": "m/s^2/N"}, {"real": "Real", "imaginary": "Imag"}),
+        ({"Amp": "dB", "Phase": "deg", "Coh": ""}, {"magnitude": "Amp", "phase": "Phase", "coherence": "Coh"}),
+    ],
+)
+def test_columns_of_one_response_may_be_called_by_their_parts(columns, parts):
+    pair = yaml.safe_load(sketch_frf_map([a_file("x.strain_Fy.csv", columns)], RIG))["pairs"][0]
+    assert pair == {"file": "x.strain_Fy.csv", "response": "x.strain", "reference": "Fy", **parts}
+
+
+@pytest.mark.parametrize("form", ["({x.real:.6f}{x.imag:+.6f}j)", "{x.real:.6f} {x.imag:+.6f}i"])
+def test_complex_numbers_in_text_are_read(tmp_path, form):
+    values = np.exp(1j * np.arange(LINES)) * 3.0
+    rows = "".join(f"{k}.0,{form.format(x=x)},word\n" for k, x in enumerate(values))
+    (tmp_path / "frf.csv").write_text("Frequency,H11,Remark\n" + rows)
+    variables = open_variables(tmp_path / "frf.csv", TextLayout())
+    assert set(variables.arrays) == {"Frequency", "H11"}
+    np.testing.assert_allclose(variables.arrays["H11"], values, atol=1e-6)
 
 
 def test_a_unit_that_is_no_quotient_is_that_of_neither_end():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.hdf5_links import keeps_values_elsewhere
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.sniff import attribute_text
+from balance_cli.io.text_numbers import is_complex
 
 NUMBERS = "iufc"
 """Kinds of numpy types that hold numbers."""
@@ -147,4 +150,12 @@ def _table_variables(path: Path, layout: TextLayout) -> Variables:
         for column, channel in enumerate(group.channels):
             arrays[channel.name] = values[:, column]
             units |= {channel.name: channel.unit} if channel.unit else {}
+    arrays |= {name: array for name, read in opened.labels.items() if (array := _complex_numbers(read())) is not None}
     return Variables(path, opened.format, arrays, units)
+
+
+def _complex_numbers(cells: Sequence[str]) -> NDArray[np.complex128] | None:
+    """Return the complex numbers of a column of text; None where a cell is none."""
+    if not all(map(is_complex, cells)):
+        return None
+    return np.array([complex(re.sub(r"[\s()]", "", cell).replace("i", "j")) for cell in cells])
