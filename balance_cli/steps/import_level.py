@@ -21,13 +21,13 @@ def rms_about_drift(blocks: Iterable[tuple[int, Array]], samples: int) -> Array:
 
     `blocks` are the first sample and values (n, k) of parts of a record of `samples`.
     """
-    gram, products, squares = np.zeros((DEGREE + 1, DEGREE + 1)), 0.0, 0.0
+    gram, products, squares = np.zeros((DEGREE + 1, DEGREE + 1)), np.zeros((DEGREE + 1, 1)), np.zeros(1)
     for start, values in blocks:
         places = 2.0 * (np.arange(start, start + len(values)) + 0.5) / samples - 1.0
         basis = legendre.legvander(places, DEGREE)
         gram += basis.T @ basis
         products, squares = products + basis.T @ values, squares + (values**2).sum(axis=0)
-    means = np.asarray(products)[0] / samples
+    means = products[0] / samples
     about_mean = np.maximum(squares - samples * means**2, 0.0)
     about_drift = squares - np.sum(products * np.linalg.solve(gram, products), axis=0)
     has_drift = about_mean - about_drift > LEAST_DRIFT * about_mean
