@@ -12,7 +12,7 @@ from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.importers.uneven_times import evened_group
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, NUMBER, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
 from balance_cli.steps.import_channels import FIRST, ChannelNames, FoundChannel
 from balance_cli.steps.import_pieces import joined_pieces
 from balance_cli.steps.import_timeline import Clock
@@ -185,14 +185,14 @@ def _require_possible_clock(clock: Clock, channel: FoundChannel) -> None:
 
 
 def channel_signal(source: FoundChannel, mapped: MappedChannel) -> Signal:
-    """A channel in volts or, without `scale`, in V/V; of another unit `scale` says how many volts it makes."""
+    """A channel in volts or, without `scale`, in V/V or counts; of another unit `scale` says how many volts it is."""
     # `g` is an acceleration here: nothing that is sampled is a mass.
     dimensions = (ACCELERATION,) if (mapped.unit or source.unit).strip() == "g" else ()
     unit, note = _unit(source, mapped.unit, *dimensions)
     has_scale = "scale" in mapped.model_fields_set
-    if unit.dimension == RATIO and not has_scale and mapped.excitation is None:
+    if unit.dimension in (RATIO, NUMBER) and not has_scale and mapped.excitation is None:
         signal = _signal(source, mapped.name, unit, mapped, note)
-        return replace(signal, reading_unit=RATIO)
+        return replace(signal, reading_unit=unit.dimension)
     if unit.dimension != VOLTAGE and not has_scale:
         fault = f"is in {unit.symbol}, not in volts"
         remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"

@@ -185,8 +185,9 @@ def _scaled_unit(channel: ForeignChannel) -> tuple[str, str]:
     unit = unit_of(text, ACCELERATION) if text == "g" else unit_of(text)
     if unit is None:
         return "V", f"  # the file says {text}; scale: volts for one {text}, or remove it"
-    base = "a value of 1" if unit.dimension == NUMBER else f"one {unit.dimension}"
-    return text, f"  # volts for {base}, or remove it"
+    if unit.dimension == NUMBER:
+        return text, "  # volts for a value of 1, none where the geometry declares counts, or remove it"
+    return text, f"  # volts for one {unit.dimension}, or remove it"
 
 
 def _nearest(name: str, names: Sequence[str]) -> str | None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
+from balance_cli.campaign.recording.import_map import MappedChannel
 from balance_cli.campaign.recording.recorded_time import date_of_start
 from balance_cli.importers import open_foreign
 from balance_cli.importers.base import ChannelGroup, ForeignChannel
@@ -12,8 +13,10 @@ from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.importers.uneven_times import evened_group
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_format import find_encoding
+from balance_cli.steps.import_channels import FoundChannel
 from balance_cli.steps.import_level import rms_about_drift
 from balance_cli.steps.import_pieces import joined_pieces
+from balance_cli.steps.import_signals import channel_signal
 from balance_cli.steps.import_sketch import sketch_map
 
 COUNT = 60
@@ -142,6 +145,13 @@ def test_a_scale_is_for_the_base_unit(tmp_path):
     text, _ = sketch(tmp_path, "t [s],P [kN],I [A]\n")
     assert "unit: kN, scale: TODO}  # volts for one N, or remove it" in text
     assert "unit: V, scale: TODO}  # the file says A; scale: volts for one A, or remove it" in text
+
+
+@pytest.mark.parametrize(("unit", "reading"), [("counts", "1"), ("steps", "1"), ("mV/V", "V/V"), ("mV", "V")])
+def test_readings_stay_in_the_unit_that_a_geometry_may_declare(tmp_path, unit, reading):
+    file = opened(tmp_path, f"t [s],A [{unit}]\n" + rows("{t:.2f},{a}"))
+    signal = channel_signal(FoundChannel("A", file, file.groups[0], 1), MappedChannel(name="A"))
+    assert signal.reading_unit == reading
 
 
 @pytest.mark.parametrize(("name", "unit"), [("load cell", "gf"), ("acc 1", "g")])
