@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import pytest
+import yaml
 
+from balance_cli.io import yaml_file
 from balance_cli.io.errors import UserError
 from balance_cli.io.yaml_file import MOST_BYTES, read_yaml
 
@@ -52,3 +54,38 @@ def test_aliases_and_merged_keys_are_read(tmp_path: Path) -> None:
         "b": [{"x": 1e-3}] * 2,
         "c": {"x": 1e-3, "y": 2},
     }
+
+
+def outcome(tmp_path: Path, text: str) -> str:
+    try:
+        return repr(content_of(tmp_path, text))
+    except UserError as error:
+        return str(error)
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML without libyaml")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: 1e-3\nb: .5\nc: [1, 2, {x: y}] # c\nd: &d 'e'\nf: *d\n",
+        "a: >\n  u\n  v\n\n  w\nb: |\n  x\n   y\n",
+        "a: 1\nb: 2\na: 3\n",
+        "a: b: c\n",
+        "a:\tb\n",
+        "{ab?: 1}\n",
+        "[1, 2\n",
+        "a: %x\n",
+        "a: \x07\n",
+        "",
+    ],
+)
+def test_libyaml_reads_what_the_parser_in_python_reads(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch):
+    found = outcome(tmp_path, text)
+    monkeypatch.setattr(yaml, "__with_libyaml__", False)
+    assert outcome(tmp_path, text) == found
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML without libyaml")
+def test_a_sound_file_is_parsed_by_libyaml_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(yaml_file._Loader, "fetch_more_tokens", None)
+    assert content_of(tmp_path, "a: [1, 2]\n") == {"a": [1, 2]}
