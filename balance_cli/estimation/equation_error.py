@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.independence import has_independent_columns
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.inner_products import real_inner_product
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.model.channel_gains import channel_gains
-from balance_cli.model.exciter_loads import loads_without_reaction, loads_without_reaction_jacobian
+from balance_cli.model.exciter_loads import loads_without_reaction, loads_without_reaction_derivatives
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.response_jacobian import multiply_derivatives
 from balance_cli.model.system import System, dynamic_stiffness
@@ -99,7 +100,8 @@ def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArr
     balance = np.matmul(A, q[:, :, None])[:, :, 0] - loads @ system.inputs.value.T
     derivatives = np.matmul(A, dq) + _pencil_derivatives_times(system, measured, q)
     derivatives -= multiply_derivatives(system.inputs.derivative, loads)
-    derivatives -= np.matmul(system.inputs.value, loads_without_reaction_jacobian(*driven))
+    own, of_loads = loads_without_reaction_derivatives(*driven)
+    derivatives[:, :, own] -= np.matmul(system.inputs.value, of_loads)
     redundancy = measured.forces - q @ R.value.T
     d_redundancy = -multiply_derivatives(R.derivative, q) - np.matmul(R.value, dq)
     error = np.concatenate([balance, redundancy], axis=1) * measured.weight
@@ -132,7 +134,7 @@ def _row_weight(system: System, frequency: Array, loads: ComplexArray, forces: i
 
 
 def fit_equation_error(
-    parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], band: tuple[float, float]
+    parameters: ParameterSet, batches: Sequence[Batch], system: Callable[..., System], band: tuple[float, float]
 ) -> Minimum | None:
     """Fit the equation error with the priors, from the declared values; its noise is estimated from its residual.
 
@@ -144,7 +146,7 @@ def fit_equation_error(
     data = [_select_band(measured_forces(batch, declared), band, stride) for batch in batches]
 
     def error(theta: Array) -> float:
-        at = system(theta)
+        at = system(theta, derivatives=False)
         return float(sum(np.sum(np.abs(equation_error(at, item)[0]) ** 2) for item in data))
 
     if not all(determines_motion(declared, item) for item in data):
@@ -183,9 +185,8 @@ def _curvature(system: System, data: Sequence[MeasuredForces], variance: float) 
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     for measured in data:
         error, derivatives = equation_error(system, measured)
-        flat = derivatives.reshape(-1, p)
-        gradient = np.real(flat.conj().T @ error.reshape(-1))
-        information = np.real(flat.conj().T @ flat)
+        gradient = real_inner_product(derivatives, error[:, :, None])[:, 0]
+        information = real_inner_product(derivatives, derivatives)
         chi2 = 2.0 * float(np.sum(np.abs(error) ** 2)) / variance
         total = total + Curvature(chi2, 2.0 * gradient / variance, 2.0 * information / variance)
     return total

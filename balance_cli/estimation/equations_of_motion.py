@@ -19,7 +19,7 @@ from balance_cli.estimation.regression_residual import (
     every_nth_line,
     line_stride,
 )
-from balance_cli.model.exciter_loads import attach_exciters, loads_without_reaction, loads_without_reaction_jacobian
+from balance_cli.model.exciter_loads import attach_exciters, loads_without_reaction, loads_without_reaction_derivatives
 from balance_cli.model.response_jacobian import multiply_derivatives
 from balance_cli.model.system import System, dynamic_stiffness
 
@@ -122,7 +122,8 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
 
     def derivatives() -> ComplexArray:
         excitation = multiply_derivatives(system.inputs.derivative, true_loads)
-        excitation = excitation + np.matmul(system.inputs.value, loads_without_reaction_jacobian(*driven))
+        own, of_loads = loads_without_reaction_derivatives(*driven)
+        excitation[:, :, own] += np.matmul(system.inputs.value, of_loads)
         readings = multiply_derivatives(of_forces.derivative, x)
         readings = readings + multiply_derivatives(of_loss.derivative, lines.quadrature * x)
         readings = readings + multiply_derivatives(of_frequency_stiffness.derivative, ratio * x)

@@ -35,6 +35,7 @@ from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.channel_alignment import alignment_residual
 from balance_cli.estimation.deadline import Deadline
 from balance_cli.estimation.equations_of_motion import motion_residuals
+from balance_cli.estimation.inner_products import real_inner_product
 from balance_cli.estimation.levenberg_marquardt import minimize
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.estimation.regression_residual import RegressionResidual, line_stride
@@ -164,8 +165,8 @@ def _fit_regression(
 def _curvature(residuals: Sequence[RegressionResidual], variance: float, p: int) -> Curvature:
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     for item in residuals:
-        jacobian, error = item.jacobian().reshape(-1, p), item.error.reshape(-1)
-        information = 2.0 * np.real(jacobian.conj().T @ jacobian) / variance
-        gradient = 2.0 * np.real(jacobian.conj().T @ error) / variance
-        total = total + Curvature(2.0 * float(np.sum(np.abs(error) ** 2)) / variance, gradient, information)
+        jacobian = item.jacobian()
+        information = 2.0 * real_inner_product(jacobian, jacobian) / variance
+        gradient = 2.0 * real_inner_product(jacobian, item.error[:, :, None])[:, 0] / variance
+        total = total + Curvature(2.0 * float(np.sum(np.abs(item.error) ** 2)) / variance, gradient, information)
     return total

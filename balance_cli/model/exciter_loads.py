@@ -96,16 +96,18 @@ def loads_without_reaction(
     return np.asarray(beyond @ equations.cross_axis(is_static).value.T)
 
 
-def loads_without_reaction_jacobian(
+def loads_without_reaction_derivatives(
     equations: Equations, frequency: Array, loads: ComplexArray, is_static: bool = False
-) -> ComplexArray:
-    """Return the derivatives (K, 6, p) of `loads_without_reaction` by all parameters."""
+) -> tuple[Mask, ComplexArray]:
+    """Return the parameters (p,) that change `loads_without_reaction`, and its derivatives (K, 6, q) by them."""
     cross_axis = equations.cross_axis(is_static)
+    own = np.asarray(cross_axis.derivative.any(axis=(1, 2)))
     if is_static:
-        return multiply_derivatives(cross_axis.derivative, loads)
-    of_matrix = multiply_derivatives(cross_axis.derivative, _cell_factor(equations, frequency) * loads)
-    every = np.ones(len(cross_axis.derivative), bool)
-    return np.asarray(of_matrix + cross_axis.value @ _cell_derivatives(equations, frequency, loads, every))
+        return own, multiply_derivatives(cross_axis.derivative[own], loads)
+    for part in (equations.load_gain, equations.load_delay, equations.load_lag):
+        own = np.asarray(own | part.derivative.any(axis=tuple(range(1, part.derivative.ndim))))
+    of_matrix = multiply_derivatives(cross_axis.derivative[own], _cell_factor(equations, frequency) * loads)
+    return own, np.asarray(of_matrix + cross_axis.value @ _cell_derivatives(equations, frequency, loads, own))
 
 
 def _cell_derivatives(equations: Equations, frequency: Array, loads: ComplexArray, own: Mask) -> ComplexArray:

@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.estimation import batch as batch_module
 from balance_cli.estimation.batch import split_large_batches
-from balance_cli.estimation.equation_error import equation_error, fit_equation_error, measured_forces
+from balance_cli.estimation.equation_error import VARIANCE_ROUNDS, equation_error, fit_equation_error, measured_forces
 from balance_cli.estimation.inner_products import information_product, real_inner_product
 from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature
 from balance_cli.estimation.measurements import stack_runs
@@ -194,6 +194,19 @@ def test_least_squares_finds_a_noise_free_rig_from_wrong_declarations():
     fit = fit_equation_error(model.parameters, stack_runs(clean, [], rig.channel_names), model.system, (1.0, 150.0))
     fitted, true = (response(s, solve(s, FREQUENCY)) for s in (model.system(fit.theta), truth.system()))
     assert np.linalg.norm(fitted - true) < 0.02 * np.linalg.norm(true)
+
+
+def test_least_squares_take_errors_alone_without_derivatives():
+    rig = rotor_balance()
+    model, asked = balance_model(rig), []
+
+    def system(theta, derivatives=True):
+        asked.append(derivatives)
+        return model.system(theta, derivatives)
+
+    lines = noisy_lines(rig, np.random.default_rng(6), noise=1e-9, load_noise=1e-9)
+    fit = fit_equation_error(model.parameters, stack_runs([lines], [], rig.channel_names), system, (1.0, 150.0))
+    assert fit.converged and asked.count(False) >= VARIANCE_ROUNDS
 
 
 @pytest.mark.parametrize("wide", [0, 3])
