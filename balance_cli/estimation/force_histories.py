@@ -81,7 +81,7 @@ def _motion(waveform: Waveform, d: Dual, has_rate: bool) -> CellMotion:
     """The motion with the elongation d (n,), and with its rate where a force needs it."""
     if not has_rate:
         return CellMotion.at_rest(d, waveform.is_periodic)
-    rate = waveform.differentiate(np.concatenate([d.value[:, None], d.derivative.T], axis=1))
+    rate = waveform.differentiate(np.concatenate([d.value[None], d.derivative]).T)
     return CellMotion(d, Dual(rate[:, 0], rate[:, 1:].T), waveform.is_periodic)
 
 

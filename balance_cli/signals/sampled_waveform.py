@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,19 @@ def _fast_length(n: int) -> int:
     from scipy.fft import next_fast_len
 
     return int(next_fast_len(n, real=True))
+
+
+def _by_function(values: NDArray[Any]) -> NDArray[Any]:
+    """Values (F, ...) as (..., F), each function contiguous in memory: in time they are combined function by function.
+
+    Interleaved, a product of a force and its derivatives took three to six times as long, a transform 1.5 times.
+    """
+    return np.ascontiguousarray(np.moveaxis(values, 0, -1))
+
+
+def _at_instants(functions: Array) -> Array:
+    """Functions of time (..., n) as (n, ...), where they are in memory."""
+    return np.moveaxis(functions, -1, 0)
 
 
 def hann_mean(values: Array) -> Array:
@@ -143,7 +156,7 @@ class SampledWaveform:
     def to_time_domain(self, amplitudes: ComplexArray, is_fine: bool = False) -> Array:
         """Amplitudes (F, ...), or (G, ...), in time (n, ...), oversampled; at frequency zero twice the mean."""
         n = _fast_length((CONTACT_OVERSAMPLING if is_fine else OVERSAMPLING) * self.samples)
-        return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
+        return _at_instants(np.fft.irfft(_by_function(amplitudes) * (n / 2.0), n))
 
     def differentiate(self, values: Array) -> Array:
         """The rate of change (n, ...) [1/s] of a function of time (n, ...), from its spectrum times i w.
@@ -151,7 +164,7 @@ class SampledWaveform:
         Where nothing repeats, the straight line from end to end is taken out first: the step between its ends would
         ring through the whole record. Of the samples it takes those at the ends alone, by their sums.
         """
-        spectrum = np.fft.rfft(values, axis=0)
+        spectrum = np.moveaxis(np.fft.rfft(_by_function(values)), -1, 0)
         rates = 2j * np.pi * self.frequency[1] * np.arange(len(spectrum))
         slope = np.zeros(values.shape[1:])
         if not self.is_periodic:
@@ -163,7 +176,7 @@ class SampledWaveform:
             line = len(values) / self.samples / (np.exp(-2j * np.pi / self.samples * bins) - 1.0)
             spectrum[1:count] -= np.multiply.outer(line, rise)
             slope = rise * self.frequency[1]
-        return np.asarray(np.fft.irfft((spectrum.T * rates).T, len(values), axis=0)) + slope
+        return _at_instants(np.fft.irfft(_by_function(spectrum) * rates, len(values))) + slope
 
     def to_amplitudes(self, values: Array) -> ComplexArray:
         """A function of time (n,) as amplitudes (G,), beyond those of the samples, too."""

@@ -13,7 +13,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import solve
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.waveforms import record_waveform
-from tests.support.rigs import one_degree_of_freedom
+from tests.support.rigs import one_degree_of_freedom, two_degrees_of_freedom
 
 MASS, STIFFNESS, GAIN = 10.0, 4e5, 0.002
 DAMPING = 2 * 0.02 * np.sqrt(STIFFNESS * MASS)
@@ -143,3 +143,13 @@ def test_the_step_between_the_ends_of_a_record_does_not_ring_in_the_rate():
     error = rate - 0.05 - 1e-3 * 2 * np.pi * 3.3 * np.cos(2 * np.pi * 3.3 * fine)
     inner = slice(len(rate) // 50, -len(rate) // 50)
     assert np.abs(error[inner]).max() < 0.01 * np.ptp(rate[inner])
+
+
+def test_each_function_of_time_is_contiguous():
+    """Interleaved with others, forces and their derivatives took several times as long."""
+    time = np.arange(256) / RATE
+    volts = np.sin(2 * np.pi * np.outer(time, [3.0, 7.0]))
+    waveform = record_waveform(volts, RATE, ["a.strain", "b.strain"], two_degrees_of_freedom())
+    history = waveform.to_time_domain(waveform.volts)
+    for functions in (history, waveform.differentiate(history)):
+        assert functions.shape == (len(history), 2) and functions.T.flags.c_contiguous

@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack, variables
+from balance_cli.model.mechanics.dual_numbers import (
+    MANY_VALUES,
+    Dual,
+    block_diagonal,
+    concatenate,
+    constant,
+    stack,
+    variables,
+)
 
 vectors = arrays(float, 3, elements=st.floats(0.5, 2.0))
 
@@ -52,3 +60,15 @@ def test_numpy_leaves_the_operators_to_the_dual_number():
 def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="mismatch"):
         variables([1.0, 2.0]) @ np.eye(3)
+
+
+def test_a_function_of_time_times_a_number_has_the_derivatives_of_its_single_values():
+    rng = np.random.default_rng(2)
+    history = Dual(rng.normal(size=MANY_VALUES), rng.normal(size=(3, MANY_VALUES)))
+    number = Dual(np.array(1.7), np.array([0.0, -0.3, 2.0]))
+    for product in (history * number, number * history):
+        for i in (0, 7, MANY_VALUES - 1):
+            single = history[i] * number
+            np.testing.assert_array_equal(product.value[i], single.value)
+            np.testing.assert_allclose(product.derivative[:, i], single.derivative, rtol=1e-15)
+    np.testing.assert_array_equal((history - history * number).value, (history + (-(history * number))).value)

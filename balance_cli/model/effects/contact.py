@@ -78,7 +78,9 @@ def contact_shape(
     distance, shift = float(1.0 / per_meter.value), float(asymmetry.value if isinstance(asymmetry, Dual) else asymmetry)
     last, direction = find_last_slip(d.value, distance, motion.is_periodic, shift * distance)
     has_slipped = last >= 0
-    since = Dual(d.value[last], d.derivative[:, last]) * has_slipped
+    since = Dual(d.value[last], d.derivative[:, last])
+    if not has_slipped.all():
+        since = since * has_slipped
     return (d - since) * per_meter + (direction + asymmetry * has_slipped)
 
 

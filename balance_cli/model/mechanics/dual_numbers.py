@@ -17,6 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+MANY_VALUES = 1000
+"""Values of a function of time, of which a pass over all derivatives takes longer than a look at those of a factor."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dual:
@@ -61,7 +64,9 @@ class Dual:
         return Dual(-self.value, -self.derivative)
 
     def __sub__(self, other: Dual | ArrayLike) -> Dual:
-        return self + (-self._as_dual(other))
+        that = self._as_dual(other)
+        value = self.value - that.value
+        return Dual(value, _align_derivative(self, value.ndim) - _align_derivative(that, value.ndim))
 
     def __rsub__(self, other: Dual | ArrayLike) -> Dual:
         return self._as_dual(other) + (-self)
@@ -73,6 +78,10 @@ class Dual:
             value = self.value * factor
             return Dual(value, _align_derivative(self, value.ndim) * factor)
         that = other
+        if that.value.ndim == 0 and self.value.size >= MANY_VALUES:
+            return _times_number(self, that)
+        if self.value.ndim == 0 and that.value.size >= MANY_VALUES:
+            return _times_number(that, self)
         value = self.value * that.value
         derivative = _align_derivative(self, value.ndim) * that.value + self.value * _align_derivative(that, value.ndim)
         return Dual(value, derivative)
@@ -118,6 +127,14 @@ class Dual:
         """Inverse of a square matrix: d(A^-1) = -A^-1 dA A^-1."""
         value = np.asarray(np.linalg.inv(self.value), float)
         return Dual(value, -value @ self.derivative @ value)
+
+
+def _times_number(array: Dual, number: Dual) -> Dual:
+    """The product of an array of many values and a number, which few of the parameters change."""
+    derivative = array.derivative * number.value
+    for parameter in np.flatnonzero(number.derivative):
+        derivative[parameter] += array.value * number.derivative[parameter]
+    return Dual(array.value * number.value, derivative)
 
 
 def _align_derivative(dual: Dual, ndim: int) -> Array:
