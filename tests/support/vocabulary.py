@@ -6,7 +6,7 @@ import ast
 import io
 import re
 import tokenize
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -122,6 +122,15 @@ FIXED_NAMES = {
 """Names that keep an old word, and the reason."""
 
 
+def _pattern(phrases: Iterable[str]) -> re.Pattern[str]:
+    """Any of these phrases, with line breaks, also of comments, between their words."""
+    return re.compile("|".join(phrases).replace(" ", r"\s+(?:#\s+)?"), re.IGNORECASE)
+
+
+_ANY_PHRASE = _pattern(PHRASES)
+_PATTERNS = [(_pattern([phrase]), better) for phrase, better in PHRASES.items()]
+
+
 def code_files() -> Iterator[Path]:
     """All Python files, relative to the root."""
     for folder in CODE_FOLDERS:
@@ -159,8 +168,10 @@ def phrase_offences(text: str) -> Iterator[tuple[int, str, str]]:
     """(line from 0, words, what to write instead) of all forbidden phrases in a text."""
     for name in FIXED_NAMES:
         text = text.replace(name, "#" * len(name))
-    for pattern, better in PHRASES.items():
-        for match in re.finditer(pattern.replace(" ", r"\s+(?:#\s+)?"), text, re.IGNORECASE):
+    if not _ANY_PHRASE.search(text):
+        return
+    for pattern, better in _PATTERNS:
+        for match in pattern.finditer(text):
             yield text.count("\n", 0, match.start()), " ".join(match.group().split()), better
 
 
