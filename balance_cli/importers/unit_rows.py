@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from balance_cli.importers.scope_heads import counts_samples
+from balance_cli.io.other_units import is_other_unit
 from balance_cli.io.text_numbers import is_missing, is_number
 from balance_cli.io.units import is_unit
 
@@ -16,15 +16,6 @@ UNIT_KEYS = (
     "単位",
 )
 """First cells that say that the others are units; the last is that of Japanese loggers."""
-OTHER_UNITS = (
-    *("A", "mA", "W", "mW", "kW", "VA", "J", "kJ", "Wh", "Ah", "mAh", "Ohm", "kOhm", "T", "mT", "dB", "l", "ml"),
-    *("kph", "kmh", "mph", "kt", "kts", "knots", "mmHg", "inHg", "inH2O", "mmH2O", "torr", "atm", "raw", "adc"),
-)
-"""Units beside those of loads and readings: test stands record currents, powers and speeds of the air, too."""
-_CLOCK = re.compile(r"^h{1,2}:m{1,2}(:s{1,2}([.:]\w+)?)?$", re.IGNORECASE)
-"""How times of day are written, in place of a unit: `hh:mm:ss`."""
-_POWER = re.compile(r"\^?-?\d$")
-
 Rows = Sequence[Sequence[str]]
 
 
@@ -56,17 +47,9 @@ def are_units_of(row: Sequence[str], names: Sequence[str], data: Rows) -> bool:
     numeric = [k for k in range(len(row)) if _has_numbers(data, k)]
     stated = [_bare(row[k]) for k in numeric if row[k] not in ("", names[k]) and not counts_samples(row[k])]
     known = [cell for cell in stated if is_unit(cell) and not _is_number(cell)]
-    others = [cell for cell in stated if cell not in known and _is_other_unit(cell)]
+    others = [cell for cell in stated if cell not in known and is_other_unit(cell)]
     own = sum(is_unit(names[k]) for k in numeric)
     return len(known) > 0 and len(known) + len(others) > max(UNIT_SHARE * len(stated), own)
-
-
-def _is_other_unit(cell: str) -> bool:
-    """Whether a cell is a unit outside the table, or a quotient of units: `A`, `kg/m^3`, `kgf/W`, `hh:mm:ss`."""
-    parts = [_POWER.sub("", part.strip(" ()")) for part in re.split(r"[/*·]", cell)]
-    return bool(_CLOCK.match(cell)) or all(
-        part and (part in OTHER_UNITS or part == "1" or is_unit(part)) for part in parts
-    )
 
 
 def _has_numbers(data: Rows, column: int) -> bool:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.other_units import is_other_unit
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
 from balance_cli.io.table_rows import require_even_rows, separate_rows, unnamed_columns
 from balance_cli.io.text_format import SEPARATORS, find_encoding, is_remark, require_plain_text
@@ -249,7 +250,8 @@ def _find_header(path: Path, rows: Sequence[Row], first: int) -> tuple[int, tupl
         raise UserError(fault, str(path), f"line {rows[first - 1][0]}", "Write a name and a unit above each column")
     last = heads[-1]
     above = rows[last][1]
-    if len(heads) > 1 and len(rows[heads[-2]][1]) == len(above) and _are_units(above):
+    names = rows[heads[-2]][1] if len(heads) > 1 else ()
+    if len(names) == len(above) and (_are_units(above) or _are_units_of(above, names)):
         return heads[-2], tuple(cell.strip("[]() ") for cell in above)
     return last, ()
 
@@ -258,6 +260,13 @@ def _are_units(cells: Sequence[str]) -> bool:
     """Whether every cell that is filled is a unit."""
     filled = [cell.strip("[]() ") for cell in cells if cell.strip("[]() ")]
     return bool(filled) and all(is_unit(cell) for cell in filled)
+
+
+def _are_units_of(cells: Sequence[str], names: Sequence[str]) -> bool:
+    """Whether every cell that is filled is a unit, below different names some of which no load or reading has."""
+    filled = [cell.strip("[]() ") for cell in cells if cell.strip("[]() /")]
+    is_named = len(names) == len(cells) == len(set(filter(None, names)))
+    return is_named and any(map(is_unit, filled)) and all(is_unit(cell) or is_other_unit(cell) for cell in filled)
 
 
 def _unique_header(path: Path, row: Row) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from balance_cli.importers.stated_clock import stated_rates
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.importers.uneven_times import evened_group
 from balance_cli.io.errors import UserError
+from balance_cli.io.table_text import read_table
 from balance_cli.io.text_format import find_encoding
 from balance_cli.steps.import_channels import FoundChannel
 from balance_cli.steps.import_level import rms_about_drift
@@ -280,3 +281,11 @@ def test_a_bad_row_of_a_joined_record_is_named_with_its_file(tmp_path):
     with pytest.raises(UserError, match="not a number") as caught:
         joined[0].groups[0].read([1], 0, joined[0].groups[0].samples)
     assert caught.value.file.endswith("zero-1.csv") and caught.value.place.startswith("row 32")
+
+
+def test_a_point_table_may_have_other_units_beside_those_of_readings(tmp_path):
+    (tmp_path / "points.txt").write_text(TUNNEL + rows("{k}\t{h}\t-2.0\t{a}\t{b}\t54.8"))
+    table = read_table(tmp_path / "points.txt")
+    assert table.header == ("Nr", "Time", "angle", "A", "B", "V") and table.units[3:] == ("steps", "steps", "m/s")
+    (tmp_path / "points.txt").write_text("Rig\tRig\tRig\nN\tA\tT\n" + rows("{a}\t{b}\t{a}"))
+    assert read_table(tmp_path / "points.txt").header == ("N", "A", "T")
