@@ -20,7 +20,7 @@ FEWEST_OTHER_ROWS = 2
 """Such rows with another separator: a line of a head may hold as many numbers as there are columns."""
 _THREE_DECIMALS = re.compile(r"[.,]\d{3}$")
 
-_SIGN_APART = re.compile(r"^[-+] +(?=[\d.,])")
+_SIGN_APART = re.compile(r"^([-+]) +(?=[\d.,])")
 """A sign with blanks before the digits, as loggers of Graphtec write it: `+ 24.1`."""
 _STAMP = re.compile(r"^(\d{1,2}:\d{2}:\d{2}(?:\.\d+)?) -> ")
 """The time that the monitor of Arduino writes before each line."""
@@ -33,7 +33,7 @@ def split_cells(line: str, separator: str) -> list[str]:
     if " -> " in line and (stamp := _STAMP.match(line)):
         return [stamp[1], *split_cells(line[stamp.end() :], separator)]
     cells = _split(line, separator)
-    return [_SIGN_APART.sub(cell[0], cell) for cell in cells] if "- " in line or "+ " in line else cells
+    return [_SIGN_APART.sub(r"\1", cell) for cell in cells] if "- " in line or "+ " in line else cells
 
 
 def with_cells_apart(text: bytes, separator: str) -> bytes:

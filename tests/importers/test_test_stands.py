@@ -53,6 +53,10 @@ DIALECTS = {
     "Tektronix": (TEKTRONIX + rows("{t:.2f},{a},{b}"), "time: TIME"),
     "a laser vibrometer": (SCANNER + rows("{t:.6e}\t{a}\t{b}"), "B: {name: B, unit: V}"),
     "Cortex": (ANALOG + rows("{t:.2f}\t{a}\t{b}"), "time: column 1"),
+    "a head with dashes beside empty cells": (
+        "Devices,,\nPlate 1 - Force,,\nTime,A,B\ns,mV,mV\n" + rows("{t:.2f},{a},{b}"),
+        "A: {name: A, unit: mV}",
+    ),
     "a monitor of Arduino": ("12:00:00.000 -> x,A,B\n" + rows("{h}.{ms:03d} -> {k},{a},{b}"), "time: column 1"),
     "a thrust stand with fewer cells than names": (
         "Time (s),A (mV),B (kgf),App message,Message,Acceleration (RPM/s),\n" + rows("{t:.2f},{a},{b},,"),
