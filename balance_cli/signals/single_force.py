@@ -42,8 +42,7 @@ class SingleForce:
     def expand(self, spectrum: RunSpectrum) -> RunSpectrum:
         """Return a spectrum of the run with all loads that the force drives, and its noise in the channels."""
         multiples = self.multiples[[COMPONENTS.index(name) for name in self.components]]
-        size = np.abs(spectrum.loads[:, 0])
-        response = spectrum.channels / np.where(size > 0, spectrum.loads[:, 0], np.inf)[:, None]
+        response = _shown_response(spectrum)
         offsets = spectrum.constant_loads
         window = spectrum.window
         return replace(
@@ -56,6 +55,20 @@ class SingleForce:
             else replace(window, covariance=_with_exact_loads(window.covariance, response, len(multiples))),
             constant_loads=None if offsets is None else np.repeat(offsets, len(multiples), axis=1),
         )
+
+
+def _shown_response(spectrum: RunSpectrum) -> ComplexArray:
+    """The response (k, c) to the one load that each line shows; at frequency zero that of the lowest other line.
+
+    A mean has the zero of its channel, as unloaded bridges do not read zero.
+    """
+    load = spectrum.loads[:, 0]
+    response = np.asarray(spectrum.channels / np.where(np.abs(load) > 0, load, np.inf)[:, None], complex)
+    at_rest = spectrum.frequency == 0
+    if at_rest.any() and not at_rest.all():
+        lowest = int(np.argmin(np.where(at_rest, np.inf, spectrum.frequency)))
+        response[at_rest] = response[lowest].real
+    return response
 
 
 def _with_exact_loads(covariance: ComplexArray, response: ComplexArray, loads: int) -> ComplexArray:

@@ -107,6 +107,19 @@ def test_chi_square_of_the_true_rig_is_one(force_noise):
         assert 0.8 < _chi2_per_value(run) < 1.25
 
 
+def test_zeros_of_bridges_are_no_error_of_their_means():
+    """The mean over that of the force had passed for the response: the mean had an error as large as its zero."""
+    run = swept_at_a_point(0.3, True)
+    block = run.read()
+    shifted = replace(run, source=MemorySource(block.channels + 0.05, block.loads))
+    spectra = [measured_spectra([item], other_rig("A"), means=True).lines[0] for item in (run, shifted)]
+    c = len(run.channel_names)
+    errors = [np.diagonal(lines.covariance[lines.frequency == 0][0]).real[:c] ** 0.5 for lines in spectra]
+    known = np.isfinite(errors[0])
+    np.testing.assert_allclose(errors[1][known], errors[0][known], rtol=0.05)
+    assert np.max(errors[1][known]) < 5e-4
+
+
 def test_noise_of_a_force_is_found_where_lines_have_none():
     """Beyond 260 Hz there is no force, and the response to its noise is noise: nothing there tells of the force."""
     force = single_force(swept_at_a_point(1.0, False, samples=SAMPLES // 2))
