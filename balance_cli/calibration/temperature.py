@@ -36,6 +36,9 @@ MIN_ZEROS = 4
 """Load series from which their zeros show a dependence: two degrees of freedom beside the line."""
 MIN_INDEPENDENT_SHARE = 1e-3
 """Share of a term that zeros and other terms must not explain, as for other terms."""
+USUAL_DRIFT = 2e-4
+"""Change of a sensitivity per kelvin that nobody has seen: of gauges that are matched to the material of the balance it
+is 1e-4 to 5e-4."""
 TUKEY = 4.685
 """Tuning constant of the biweight: 95 % efficient for normal errors."""
 ROBUST_ITERATIONS = 5
@@ -71,15 +74,20 @@ def estimate_temperature_terms(rows: TemperatureRows, robust: bool = False) -> T
     level = TERM_SIGNIFICANCE_LEVEL / (c * (1 + k))
     coefficients, t = np.zeros((1 + k, c)), np.full((1 + k, c), np.nan)
     covariance = np.zeros((c, 1 + k, 1 + k))
-    for channel in range(c):
-        weight = _biweight(rows, candidates, channel) if robust else rows.weight
-        problem = _Problem(
-            rows.columns[channel], candidates, rows.channels[:, channel], rows.load_series, weight, theta
-        )
+    weights = [_biweight(rows, candidates, channel) if robust else rows.weight for channel in range(c)]
+    problems = [
+        _Problem(rows.columns[i], candidates, rows.channels[:, i], rows.load_series, weights[i], theta)
+        for i in range(c)
+    ]
+    for channel, problem in enumerate(problems):
         estimate = _fit_channel(problem, level)
         coefficients[:, channel], covariance[channel] = estimate
         with np.errstate(divide="ignore", invalid="ignore"):
             t[:, channel] = estimate[0] / np.sqrt(np.diag(estimate[1]))
+    if np.any(coefficients):
+        # A balance that depends on temperature does so in all channels: no drift that is not seen is known to be zero.
+        for channel in np.flatnonzero(~np.any(coefficients[1:], axis=0)).tolist():
+            covariance[channel, 1:, 1:] = np.diag(_unseen_drift(problems[channel], rows.loads))
     return TemperatureTerms(
         rows.channel_names,
         rows.components,
@@ -144,6 +152,23 @@ def _fit_channel(problem: _Problem, level: float) -> tuple[Array, Array]:
     coefficients[open_terms] = fit.coefficients[p:, 0]
     covariance[np.ix_(open_terms, open_terms)] = fit.inverse[p:, p:] * fit.variance[0]
     return coefficients, covariance
+
+
+def _unseen_drift(problem: _Problem, loads: Array) -> Array:
+    """Mean squares (k,) [V2/N2 K2] of changes of sensitivity that are not significant: what the rows allow, or usual.
+
+    The usual change is a share of the sensitivity itself, by the loads (m, k) alone.
+    """
+    X, y = (subtract_block_means(values, problem.block) for values in (loads, problem.y[:, None]))
+    usual = (USUAL_DRIFT * np.linalg.lstsq(X, y, rcond=None)[0][:, 0]) ** 2
+    open_terms = [term for term in _independent_candidates(problem) if term > 0]
+    if not open_terms:
+        return np.asarray(usual)
+    p, fit = problem.columns.shape[1], problem.fit(open_terms)
+    allowed = np.full(loads.shape[1], np.inf)
+    if fit.dof >= MIN_DOF:
+        allowed[np.array(open_terms) - 1] = fit.coefficients[p:, 0] ** 2 + fit.sigma[p:, 0] ** 2
+    return np.asarray(np.minimum(usual, allowed))
 
 
 def _any_significant(problem: _Problem, terms: Sequence[int], level: float) -> bool:

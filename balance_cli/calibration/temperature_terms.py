@@ -22,7 +22,8 @@ class TemperatureTerms:
     """What temperature adds to the readings of c channels, for k load components.
 
     `coefficients` (1+k, c): zero shift [V/K], then changes of sensitivity [V/(N K), V/(N m K)]; zero for a term that a
-    channel does not have, where `t` (1+k, c) is NaN. `covariance` (c, 1+k, 1+k). Temperatures [degC]: `reference`, at
+    channel does not have, where `t` (1+k, c) is NaN. `covariance` (c, 1+k, 1+k); a channel in which no change of
+    sensitivity was seen has the mean squares of those that the calibration allows. Temperatures [degC]: `reference`, at
     which the calibration holds, `lowest` and `highest` of the calibration, and `under_load` (k,) while each load acted.
     """
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from balance_cli.calibration.temperature import TemperatureRows, estimate_temperature_terms
 from balance_cli.calibration.term_choice import choice_of_words
 from balance_cli.calibration.terms import all_terms, linear_terms
 from balance_cli.campaign.recording.additions import TEMPERATURE, MemoryAdditions, RunAdditions
@@ -287,3 +288,21 @@ def test_coefficients_of_products_contain_the_error_of_the_temperature_terms():
             error = model.coefficients[place] - scale * true[pairs.index(pair)]
             z += (error / np.sqrt(model.covariance[:, place, place])).tolist()
     assert np.sqrt(np.mean(np.square(z))) < 1.1
+
+
+@pytest.mark.parametrize(("noise", "allowed"), [(1e-7, False), (1e-4, True)])
+def test_a_drift_that_no_row_shows_is_not_known_to_be_zero(noise, allowed):
+    """The second channel warms by hours between its loads: its drift had no error, and loads were 5.4 sigma off."""
+    rng, steps = np.random.default_rng(2), np.array([0.0, 50.0, 100.0, 50.0, 0.0])
+    series = np.repeat(np.arange(12), 5)
+    loads = np.tile(steps, 12)[:, None] * np.column_stack([series < 6, series >= 6])
+    temperature = 20.0 + 0.3 * (series % 6) + 0.01 * rng.standard_normal(60)
+    C, warming = np.array([[1e-3, 0.0], [0.0, 2e-3]]), (temperature - 20.0)[:, None]
+    channels = loads @ C + 1e-5 * warming + np.array([1e-7, noise]) * rng.standard_normal((60, 2))
+    channels[:, 0] += 2e-3 * warming[:, 0] * loads[:, 0] * 1e-3
+    names = (("A", "B"), ("Fx", "Fy"))
+    rows = TemperatureRows(*names, channels, loads, temperature, [loads, loads], series, np.ones(60))
+    terms = estimate_temperature_terms(rows)
+    sigma = float(np.sqrt(terms.covariance[1, 2, 2]))
+    assert terms.coefficients[1, 0] != 0.0 and terms.coefficients[2, 1] == 0.0 and np.isnan(terms.t[2, 1])
+    assert sigma == pytest.approx(2e-4 * 2e-3, rel=0.02) if allowed else 0.0 < sigma < 2e-8
