@@ -32,8 +32,8 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     A file is known by its content: a geometry, a run file, a result of another command. All faults of a file are
     listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
 
-    With a geometry, by -g or among the files, the runs with known loads are also cross-checked as a campaign: units,
-    signs, exchanged channels and loads, stiffness, the position of the hub.
+    With a geometry, by -g or among the files, the runs and point tables with known loads are also cross-checked as a
+    campaign: units, signs, exchanged channels and loads, stiffness, the position of the hub.
     """
     from balance_cli.cli.file_check import check_file
     from balance_cli.model.balance import check_effects
@@ -42,9 +42,10 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     if rig is not None:
         check_effects(rig, str(geometry))
     findings = {path: check_file(path, rig) for path in session.progress(files, "files")}
-    consistency = _cross_check(findings, rig)
+    runs = _runs_of_rig(findings, rig)
+    consistency = _cross_check(findings, rig, runs)
     faults = {
-        path: [*finding.faults, *_duplicate_name_faults(path, findings), *_campaign_faults(finding, consistency)]
+        path: [*finding.faults, *_duplicate_name_faults(path, findings), *_campaign_faults(runs[path], consistency)]
         for path, finding in findings.items()
     }
     faulty = sum(bool(file_faults) for file_faults in faults.values())
@@ -60,31 +61,52 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     )
 
 
-def _cross_check(findings: Mapping[Path, FileFinding], geometry: Geometry | None) -> tuple[ConsistencyFinding, ...]:
-    """Findings of the runs as a campaign, by the given geometry or the only one among the files; none without one."""
+def _declared_geometry(findings: Mapping[Path, FileFinding], geometry: Geometry | None) -> Geometry | None:
+    """The given geometry, or the only one among the files."""
     declared = [finding.geometry for finding in findings.values() if finding.geometry is not None]
     if geometry is None and len({item.model_dump_json() for item in declared}) == 1:
-        geometry = declared[0]
+        return declared[0]
+    return geometry
+
+
+def _runs_of_rig(findings: Mapping[Path, FileFinding], given: Geometry | None) -> dict[Path, tuple[Run, ...]]:
+    """The runs of each file that can be compared with others: a run file, or a point table with loads."""
+    from balance_cli.cli.file_check import POINT_TABLE, runs_of_point_table
+
+    geometry = _declared_geometry(findings, given)
+    runs: dict[Path, tuple[Run, ...]] = dict.fromkeys(findings, ())
+    for path, finding in findings.items():
+        if geometry is not None and finding.kind == POINT_TABLE and not finding.faults:
+            runs[path] = runs_of_point_table(path, geometry)
+        elif finding.run is not None:
+            runs[path] = (finding.run,)
+    return runs
+
+
+def _cross_check(
+    findings: Mapping[Path, FileFinding], given: Geometry | None, runs: Mapping[Path, tuple[Run, ...]]
+) -> tuple[ConsistencyFinding, ...]:
+    """Findings of the runs as a campaign, by the geometry; none without one."""
+    geometry = _declared_geometry(findings, given)
     if geometry is None:
         return ()
-    runs: dict[str, Run] = {}
-    for finding in findings.values():
-        if finding.run is not None and finding.run.rig == geometry.rig and not finding.is_unreadable:
-            runs.setdefault(finding.run.name, finding.run)
-    return check_findings(geometry, tuple(runs.values()))
+    of_rig: dict[str, Run] = {}
+    for path, of_file in runs.items():
+        for run in of_file:
+            if run.rig == geometry.rig and not findings[path].is_unreadable:
+                of_rig.setdefault(run.name, run)
+    return check_findings(geometry, tuple(of_rig.values()))
 
 
-def _campaign_faults(finding: FileFinding, consistency: Sequence[ConsistencyFinding]) -> list[UserError]:
-    """The faults that concern a run; what all runs show is said of the first of them."""
+def _campaign_faults(runs: Sequence[Run], consistency: Sequence[ConsistencyFinding]) -> list[UserError]:
+    """The faults that concern the runs of a file; what all runs show is said of the first of them."""
     from balance_cli.steps.cross_checks import finding_place
 
-    if finding.run is None:
-        return []
-    name = finding.run.name
+    names = {run.name for run in runs}
     return [
         UserError(item.sentence, place=finding_place(item), remedy="Correct the files, or the geometry")
         for item in consistency
-        if item.is_fault and name in (item.runs[:1] if item.in_all_runs else item.runs)
+        if item.is_fault and names & set(item.runs[:1] if item.in_all_runs else item.runs)
     ]
 
 

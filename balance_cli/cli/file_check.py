@@ -9,7 +9,7 @@ from pathlib import Path
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.channel_range import full_range_faults
 from balance_cli.campaign.recording.gaps import gap_summary
-from balance_cli.campaign.recording.load_table import is_point_table, read_load_table
+from balance_cli.campaign.recording.load_table import is_point_table, read_load_table, runs_of_table
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.recording.table_geometry import read_table_head
@@ -40,6 +40,7 @@ POINT_LOADS_HEADER = "run,line,"
 
 MATRIX_FAMILY = MATRIX_FORMAT.partition("/")[0] + "/"
 
+POINT_TABLE = "point table"
 FORMATS_NOT_READ = {"balance-truth/1": "truth behind simulated runs"}
 """Formats that no command reads."""
 
@@ -116,7 +117,13 @@ def _check_table(path: Path, geometry: Geometry | None) -> FileFinding | None:
     loads = ", ".join((*head.hub_loads, *head.loads)) or "none"
     about = f"point table: {plural(head.rows, 'row')}, loads {loads}, channels {', '.join(head.channels) or 'none'}"
     about += f", columns {', '.join(head.labels)}" if head.labels else ""
-    return FileFinding("point table", about, faults=faults)
+    return FileFinding(POINT_TABLE, about, faults=faults)
+
+
+def runs_of_point_table(path: Path, geometry: Geometry) -> tuple[Run, ...]:
+    """The static runs of a table of load points; none of a table without loads."""
+    head = read_table_head(path)
+    return runs_of_table(read_load_table(path, geometry), geometry) if head.hub_loads or head.loads else ()
 
 
 def _unrecognized_fault(path: Path) -> UserError:

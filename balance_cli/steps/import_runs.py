@@ -212,7 +212,7 @@ def _complete(
         notes.append(f"level of the excitation, rms over the record: {', '.join(f'{x:.4g}' for x in run.level)}")
     start = None if timeline is None else timeline.start
     run = replace(run, recorded=run.recorded or date_of_start(start))
-    if run.excitation == IMPACT and run.has_loads:
+    if run.excitation == IMPACT and (run.has_loads or _has_forces_only(run)):
         notes += _hit_notes(run)
     return ImportedRun(run, reference, tuple(dict.fromkeys(notes)), start)
 
@@ -252,7 +252,9 @@ def _with_pulses(run: Run, reference: RotorReference, stated: float | None, note
 def _hit_notes(run: Run) -> list[str]:
     """A note on the taps of each excited load."""
     columns = [COMPONENTS.index(name) for name in run.excited]
-    loads = np.concatenate([block.loads[:, columns] for block in run.blocks(BLOCK) if block.loads is not None])
+    starts = range(0, run.samples, BLOCK)
+    parts = [_recorded_loads(run, start, min(start + BLOCK, run.samples)) for start in starts]
+    loads = np.concatenate([part[:, columns] for part in parts])
     notes = [
         find_hits(column, sample_rate(run)).note if has_hit(column) else "no hit of the hammer stands out of the noise"
         for column in loads.T

@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import make_provenance, save_artefact
+from balance_cli.model.balance import balance_model
+from balance_cli.model.system_response import response, solve
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "configs" / "rts-6.yaml"
+HEXAPOD = ROOT / "configs" / "hexapod.yaml"
 WIND = ROOT / "sample_data" / "wind-1.h5"
 
 
@@ -212,3 +216,21 @@ def test_missing_pulses_do_not_contradict_the_lines_of_the_channels(tmp_path: Pa
         del file["rotor/pulse_times"]
         file["rotor/pulse_times"] = np.delete(pulses, np.arange(5, len(pulses) - 5, 10))
     assert faults(path) == []
+
+
+def test_point_tables_are_compared_with_the_geometry(tmp_path: Path) -> None:
+    """Two channels whose cables are exchanged, in a table whose loads and readings are sound otherwise."""
+    geometry = load_geometry(HEXAPOD)
+    system = balance_model(geometry).system()
+    T = response(system, solve(system, np.zeros(1)))[0].real
+    names = [channel.name for channel in geometry.channels]
+    steps = np.tile([0.0, 0.5, 1.0, 0.5, 0.0], 6)
+    loads = np.repeat(np.diag([300.0, 300.0, 900.0, 90.0, 90.0, 60.0]), 5, axis=0) * steps[:, None]
+    head = [f"{name} [{'N' if name[0] == 'F' else 'N m'}]" for name in COMPONENTS] + [f"{name} [V]" for name in names]
+    volts = loads @ T.T + 1e-6 * np.random.default_rng(1).standard_normal((len(loads), len(names)))
+    for order, faulty in (([0, 1, 2, 3, 4, 5], False), ([3, 1, 2, 0, 4, 5], True)):
+        table = tmp_path / "points.csv"
+        np.savetxt(table, np.hstack([loads, volts[:, order]]), delimiter=",", header=",".join(head), comments="")
+        listed = faults(table, "-g", HEXAPOD)
+        assert bool(listed) == faulty
+        assert not faulty or "l1.strain and l4.strain are exchanged in points" in listed[0][1]

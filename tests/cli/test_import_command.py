@@ -259,6 +259,29 @@ def test_the_level_of_a_force_at_a_point_is_measured(tmp_path):
     assert open_run(tmp_path / "runs" / "s.h5").level == pytest.approx((0.8 * 5.0 / np.sqrt(2.0),), rel=0.02)
 
 
+def test_the_taps_of_a_hammer_at_a_point_are_counted(tmp_path):
+    rng, time = np.random.default_rng(1), np.arange(8000) / 1000.0
+    force = 200.0 * np.sum([np.exp(-(((time - at) / 0.002) ** 2)) for at in (1.0, 4.0)], axis=0)
+    rows = np.column_stack([time, rng.standard_normal(8000), -force + 0.05 * rng.standard_normal(8000)])
+    np.savetxt(tmp_path / "tap.csv", rows, delimiter=",", header="t [s],B1 [V],Hammer [N]", comments="")
+    point = {"channel": "Hammer", "position": [0.1, 0.0, 0.4], "direction": [0.0, 0.0, 1.0]}
+    mapping = {"format": "balance-import/1", "rig": "R", "time": "t", "channels": {"B1": "z1.strain"}}
+    mapping |= {
+        "load_points": [point],
+        "runs": [{"file": "*", "kind": "sweep", "excited": "Fz", "excitation": "impact"}],
+    }
+    assert "Fz: 2 taps" in run_import(tmp_path, mapping, tmp_path / "tap.csv").stdout
+
+
+def test_loads_of_files_that_differ_belong_to_their_runs(tmp_path):
+    (tmp_path / "a.csv").write_text("t [s],B1 [V],F [N],G [N]\n0,0,0,0\n0.1,0,0,0\n", encoding="utf-8")
+    mapping = {"format": "balance-import/1", "rig": "R", "time": "t", "channels": {"B1": "z1.strain"}}
+    mapping |= {"loads": {"F": "Fx", "G": "Fx"}, "runs": [{"file": "*", "kind": "check"}]}
+    assert (
+        "of the entries of `runs` that have them" in run_import(tmp_path, mapping, tmp_path / "a.csv", status=2).stderr
+    )
+
+
 def test_a_slow_temperature_sets_neither_rate_nor_length(tmp_path):
     rotor = write_wind_hdf5(tmp_path / "record")
     with h5py.File(tmp_path / "record", "r+") as file:

@@ -230,4 +230,7 @@ class ImportMap(FrozenModel):
 def _refuse_repeats(what: str, names: list[str]) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise ValueError(f"two channels of the file are the {what} `{repeated[0]}`")
+        raise ValueError(
+            f"two channels of the file are the {what} `{repeated[0]}`; those of different files belong under "
+            "`channels` or `loads` of the entries of `runs` that have them"
+        )
