@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from balance_cli.diagnosis.settings import SearchSettings
     from balance_cli.estimation.identified_model import IdentifiedModel
     from balance_cli.estimation.measured_spectra import Spectra
+    from balance_cli.steps.hold_out import HoldOutData
 
 EXIT_DISCREPANCY = 3
 """Exit status of --fail-on-discrepancy where the model lacks something."""
@@ -37,7 +38,7 @@ EXIT_DISCREPANCY = 3
 @balance_command("diagnose")
 @click.argument("model", type=InputFile(), metavar="MODEL")
 @runs_argument
-@hold_out_option("Check run or sweep that no fit may see, for the errors before and after (repeatable).")
+@hold_out_option("Check run, sweep or file of responses that no fit may see, for errors before and after (repeatable).")
 @click.option(
     "--model-out", type=OutputFile(), required=True, metavar="MODEL", help="Where the updated model is written."
 )
@@ -83,32 +84,32 @@ def command(
 ) -> None:
     """Find the effects that a model lacks, and update the model.
 
-    The errors before and after are reported. Sweeps and static runs among RUN... are fitted; runs of other kinds are
-    left out and named. The runs of --hold-out are used once, after the last decision; without any, the check runs among
-    RUN... or one of the sweeps are kept aside for it. MODEL is a physical model: computed, identified, or updated
-    before. The updated model is physical, too.
+    The errors before and after are reported. Sweeps and static runs among RUN... are fitted, and measured responses
+    (files of `sweep-tf` or `import-frf`); runs of other kinds are left out and named. The runs and responses of
+    --hold-out are used once, after the last decision; without any, the check runs among RUN..., or a sweep or response
+    that another one repeats, are kept aside for it. MODEL is a physical model: computed, identified, or updated before.
+    The updated model is physical, too.
     """
-    from balance_cli.cli.consistency import require_consistent_runs, with_findings
+    from balance_cli.cli.consistency import with_findings
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
-    from balance_cli.diagnosis.consistency.severity import identified_anyway
+    from balance_cli.cli.fitted_files import fitted_spectra, read_fitted_files, read_hold_out_files
     from balance_cli.diagnosis.result import NOTHING_MISSING
-    from balance_cli.estimation.measured_spectra import measured_spectra
-    from balance_cli.steps.hold_out import choose_hold_out
+    from balance_cli.steps.hold_out import choose_hold_out, hold_out_data
 
     before = _load_start_model(session, model, band)
     settings = _search_settings(before, time_limit, suspected, excluded)
-    records = session.runs(runs, before.geometry, skip_bad)
-    records = require_consistent_runs(session, before.geometry, records, skip_bad, identified_anyway)
-    hold_out_runs = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", disjoint_from=records)
-    hold_out_runs = _select_usable_hold_out(session, hold_out_runs, before, skip_bad)
-    kept_aside = () if hold_out else choose_hold_out(records)
-    records = tuple(run for run in records if run not in kept_aside)
-    spectra = measured_spectra(session.progress(records, "spectra", len(records), False), before.geometry, means=True)
+    files = read_fitted_files(session, runs, before.geometry, skip_bad)
+    held = read_hold_out_files(session, hold_out, before.geometry, skip_bad, files)
+    held_runs = _select_usable_hold_out(session, held.runs, before, skip_bad)
+    kept_aside = () if hold_out else choose_hold_out(files.runs)
+    files = replace(files, runs=tuple(run for run in files.runs if run not in kept_aside))
+    spectra = fitted_spectra(session, files, before.geometry, means=True)
     _check_spectra(session, spectra)
-    hold_out_runs = _warn_about_hold_out(session, before, (*hold_out_runs, *kept_aside), kept_aside)
-    diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, settings)
-    errors = _hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
-    diagnosis, updated_model = _judge_by_hold_out(diagnosis, updated_model, hold_out_runs, kept_aside, errors)
+    data, spectra = hold_out_data(held_runs, held.lines, kept_aside, spectra)
+    _warn_about_hold_out(session, before, data, spectra)
+    diagnosis, updated_model = _run_diagnosis(before, spectra, files.runs, data.runs, settings)
+    errors = _hold_out_errors(session, data, before, updated_model, skip_bad)
+    diagnosis, updated_model = _judge_by_hold_out(diagnosis, updated_model, data, errors)
     session.save(output, DIAGNOSIS_FORMAT, with_findings(session, diagnosis))
     session.save(model_out, MODEL_FORMAT, with_findings(session, updated_model))
     if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
@@ -164,27 +165,26 @@ def _select_usable_hold_out(
 
 
 def _check_spectra(session: Session, spectra: Spectra) -> None:
-    for name, reason in spectra.unused.items():
-        session.report_left_out(name, reason)
     for run, channels in spectra.channels_left_out.items():
         for name, reason in channels.items():
             session.warn(f"run {run}: channel {name} left out: {reason}")
     if not spectra.lines:
-        raise UserError("no sweep run among the runs", "RUN...", remedy="Give at least one sweep run")
+        remedy = "Give at least one sweep run, or measured responses"
+        raise UserError("no sweep run among the runs", "RUN...", remedy=remedy)
 
 
-def _warn_about_hold_out(
-    session: Session, before: IdentifiedModel, hold_out_runs: tuple[Run, ...], kept_aside: tuple[Run, ...]
-) -> tuple[Run, ...]:
-    """Return the hold-out runs, after warning where there are none and where they are no test."""
-    if not hold_out_runs:
-        session.warn("no hold-out run: the updated model is not tested on new data; keep check runs for --hold-out")
-    if kept_aside:
-        session.warn(f"no --hold-out: {', '.join(run.name for run in kept_aside)} kept aside to test the updated model")
-    for run in hold_out_runs:
-        if before.method != "computed" and run.name in before.quality.runs:
-            session.warn(f"{run.name} is held out here, but the model was fitted to it: its error before is no test")
-    return hold_out_runs
+def _warn_about_hold_out(session: Session, before: IdentifiedModel, data: HoldOutData, spectra: Spectra) -> None:
+    """Warn where there are no hold-out runs, and where they are no test."""
+    if not data.names:
+        remedy = "keep check runs for --hold-out"
+        if spectra.responses:
+            remedy = "no response repeats another one; give --hold-out a file of responses, or check runs"
+        session.warn(f"no hold-out run: the updated model is not tested on new data; {remedy}")
+    if data.kept_aside:
+        session.warn(f"no --hold-out: {', '.join(data.kept_aside)} kept aside to test the updated model")
+    for name in data.names:
+        if before.method != "computed" and name in before.quality.runs:
+            session.warn(f"{name} is held out here, but the model was fitted to it: its error before is no test")
 
 
 def _run_diagnosis(
@@ -203,13 +203,13 @@ def _run_diagnosis(
         return diagnose_with_free_simulation(task, partial(diagnose, progress=progress), settings)
 
 
-def _hold_out_run_errors(
-    session: Session, hold_out_runs: tuple[Run, ...], before: IdentifiedModel, after: IdentifiedModel, skip_bad: bool
+def _hold_out_errors(
+    session: Session, data: HoldOutData, before: IdentifiedModel, after: IdentifiedModel, skip_bad: bool
 ) -> dict[str, HoldOut]:
-    from balance_cli.steps.hold_out import hold_out_errors
+    from balance_cli.steps.hold_out import hold_out_errors, response_errors
 
-    errors = {}
-    for run in session.progress(hold_out_runs, "hold-out runs", len(hold_out_runs), False):
+    errors = {response.run: response_errors(response, before, after) for response in data.responses}
+    for run in session.progress(data.runs, "hold-out runs", len(data.runs), False):
         with session.skip_if_unusable(run, skip_bad):
             errors[run.name] = hold_out_errors(run, before, after)
     return errors
@@ -218,13 +218,12 @@ def _hold_out_run_errors(
 def _judge_by_hold_out(
     diagnosis: Diagnosis,
     updated: IdentifiedModel,
-    hold_out_runs: tuple[Run, ...],
-    kept_aside: tuple[Run, ...],
+    data: HoldOutData,
     errors: dict[str, HoldOut],
 ) -> tuple[Diagnosis, IdentifiedModel]:
     from balance_cli.diagnosis.conclusions import judge_hold_out
     from balance_cli.steps.hold_out_model_error import add_hold_out_error, note_contradicted_loads
 
-    judged = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
-    tested = add_hold_out_error(updated, hold_out_runs, errors)
+    judged = judge_hold_out(diagnosis, errors, data.kept_aside)
+    tested = add_hold_out_error(updated, data.runs, errors)
     return note_contradicted_loads(judged, tested), tested

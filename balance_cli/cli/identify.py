@@ -73,11 +73,8 @@ def command(
     RUN may be a file of `sweep-tf` or `import-frf`, in place of its sweeps. Runs of other kinds are left out and named.
     With --method computed no run is needed: the model is the geometry.
     """
-    from balance_cli.cli.consistency import require_consistent_runs, with_findings
-    from balance_cli.cli.fitted_files import read_responses, require_consistent_responses, split_files
-    from balance_cli.diagnosis.consistency.severity import identified_anyway
-    from balance_cli.estimation.measured_responses import add_responses, require_usable_responses
-    from balance_cli.estimation.measured_spectra import measured_spectra
+    from balance_cli.cli.consistency import with_findings
+    from balance_cli.cli.fitted_files import fitted_spectra, read_fitted_files
     from balance_cli.model.balance import check_effects
     from balance_cli.model.placed_effects import add_effects
     from balance_cli.steps.identify import IdentifyOptions, identify
@@ -85,16 +82,7 @@ def command(
     rig = session.geometry(geometry)
     check_effects(rig, str(geometry))
     rig = add_effects(rig, effects)
-    run_paths, response_paths = split_files(runs)
-    records = session.runs(run_paths, rig, skip_bad)
-    responses = read_responses(session, response_paths)
-    require_usable_responses(responses, records, rig)
-    records = require_consistent_runs(session, rig, records, skip_bad, identified_anyway)
-    require_consistent_responses(session, rig, responses)
-    spectra = measured_spectra(session.progress(records, "spectra", len(records), False), rig)
-    spectra = add_responses(spectra, responses)
-    for name, reason in spectra.unused.items():
-        session.report_left_out(name, reason)
+    spectra = fitted_spectra(session, read_fitted_files(session, runs, rig, skip_bad), rig)
     options = IdentifyOptions(method=method, form=form, damping=damping, band=band)
     with session.working("fit"):
         model = identify(spectra, rig, options)

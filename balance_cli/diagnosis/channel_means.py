@@ -62,7 +62,8 @@ def shared_columns(T: Array, means: ChannelMeans, tested: NDArray[np.bool_]) -> 
     shape = means.volts.shape
     channels = [np.broadcast_to(np.eye(shape[1])[i], shape) for i in np.flatnonzero(tested)]
     loads = [np.outer(means.applied[:, j], T[:, j]) for j in np.flatnonzero(means.applied.any(axis=0))]
-    return np.stack([*channels, *loads])
+    columns = [*channels, *loads]  # none of measured responses, which have no means
+    return np.array(columns).reshape(len(columns), *shape)
 
 
 @dataclass(frozen=True)

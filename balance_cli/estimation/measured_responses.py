@@ -103,17 +103,18 @@ def add_responses(spectra: Spectra, items: Sequence[MeasuredResponses]) -> Spect
     Raises UserError for responses whose noise is not known.
     """
     names = {run.run for run in spectra.lines}
-    lines, left_out = list(spectra.lines), dict(spectra.channels_left_out)
+    lines, left_out, responses = list(spectra.lines), dict(spectra.channels_left_out), list(spectra.responses)
     for item in items:
         for response in item.transfer.responses:
             name = _unused_name(response.run, item.file, names)
             names.add(name)
+            responses.append(name)
             try:
                 lines.append(replace(spectrum_of_response(response), run=name))
             except UserError as error:
                 raise error.with_location(file=item.file) from error
         left_out |= item.transfer.channels_left_out
-    return replace(spectra, lines=tuple(lines), channels_left_out=left_out)
+    return replace(spectra, lines=tuple(lines), channels_left_out=left_out, responses=tuple(responses))
 
 
 def _unused_name(name: str, file: str, used: set[str]) -> str:

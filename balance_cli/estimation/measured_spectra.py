@@ -34,7 +34,7 @@ class Spectra:
 
     `unused` {run: why}: runs that an identification cannot use; `channels_left_out` {run: {channel: why}}: channels
     that were dead, clipped, absent or not finite. `usual_noise`: of the channels near half the sample rate, which the
-    sweeps have in common.
+    sweeps have in common. `responses`: names of those lines that are measured responses.
     """
 
     lines: tuple[RunSpectrum, ...]
@@ -42,6 +42,7 @@ class Spectra:
     unused: dict[str, str]
     channels_left_out: dict[str, dict[str, str]]
     usual_noise: tuple[UsualNoise, ...] = ()
+    responses: tuple[str, ...] = ()
 
     def in_band(self, band: tuple[float, float] | None) -> Spectra:
         """Return the spectra without the lines outside a band [Hz]; means and static points stay.

@@ -33,6 +33,7 @@ from balance_cli.diagnosis.result import (
     ResidualMap,
 )
 from balance_cli.diagnosis.search.mass_region import mass_intervals
+from balance_cli.diagnosis.selection.response_effects import settings_for_responses, untestable_by_responses
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.unidentifiable_effects import judge_unidentifiable_effects
@@ -66,7 +67,8 @@ def diagnose(
     `spectra` include means and waveforms; lines outside the band of the model are left out. Raises UserError for a
     model of the paper's form, and without any sweep or any line in the band.
     """
-    spectra, settings = with_load_series(_check_inputs(model, spectra).in_band(model.band)), settings.begin()
+    spectra = with_load_series(_check_inputs(model, spectra).in_band(model.band))
+    settings = settings_for_responses(spectra, settings).begin()
     announce = _Announcer(progress, settings)
     before = balance_model(model.geometry).at(np.array(model.parameters.value, float))
     zeros = find_zeros(before.system(), spectra, settings.data_tests)
@@ -129,15 +131,14 @@ def _build_diagnosis(
     scores, updated_geometry = update.confirmation.scores, update.fit.geometry
     # A model that stays has one quality; the one stored with it is that of its identification, without means.
     after = quality if updated is model else updated.quality
+    untestable = find_untestable_effects(scores, update.trials, spectra, updated_geometry, settings.selection)
     return Diagnosis(
         geometry=model.geometry,
         verdict=verdict,
         effects=effects,
         trials=update.trials,
         data_tests=model_free_tests(spectra, model.geometry, _lowest_mode(updated), settings),
-        untestable_effects=find_untestable_effects(
-            scores, update.trials, spectra, updated_geometry, settings.selection
-        ),
+        untestable_effects=(*untestable, *untestable_by_responses(spectra, updated_geometry, untestable)),
         chi2_per_dof_before=quality.chi2_per_dof,
         chi2_per_dof_after=after.chi2_per_dof,
         frf_error_before=quality.frf_error,

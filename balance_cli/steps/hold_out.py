@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.result import HoldOut, RunErrors
 from balance_cli.estimation.fit_quality import fit_quality, frf_band
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
-from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.io.errors import UserError
@@ -27,6 +27,7 @@ from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors
 from balance_cli.reduction.rotor_record import RotorRecord, rotor_record
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 ComplexArray = NDArray[np.complex128]
 
@@ -44,6 +45,52 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
     new = errors(run, after)
     return HoldOut(errors(run, before).error, new.error, new.noise, new.set_up, new.expected)
+
+
+@dataclass(frozen=True)
+class HoldOutData:
+    """Runs and measured responses that no fit sees; `kept_aside`: names of those that were not given for it."""
+
+    runs: tuple[Run, ...]
+    responses: tuple[RunSpectrum, ...]
+    kept_aside: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of runs and responses."""
+        return (*(run.name for run in self.runs), *(response.run for response in self.responses))
+
+
+def hold_out_data(
+    runs: Sequence[Run], responses: Sequence[RunSpectrum], kept_aside: Sequence[Run], spectra: Spectra
+) -> tuple[HoldOutData, Spectra]:
+    """Return what is held out, and the spectra without it.
+
+    `runs` and `responses` were given for it; where nothing was, the runs that are `kept_aside`, else a response.
+    """
+    if runs or responses or kept_aside:
+        names = tuple(run.name for run in kept_aside)
+        return HoldOutData((*runs, *kept_aside), tuple(responses), names), spectra
+    chosen = choose_response(spectra)
+    lines = tuple(run for run in spectra.lines if not any(run is other for other in chosen))
+    return HoldOutData((), chosen, tuple(run.run for run in chosen)), replace(spectra, lines=lines)
+
+
+def response_errors(response: RunSpectrum, before: IdentifiedModel, after: IdentifiedModel) -> HoldOut:
+    """Return the errors of a measured response, as of a sweep, by the model before and after updating."""
+    new = _line_errors((response,), after)
+    return HoldOut(_line_errors((response,), before).error, new.error, new.noise)
+
+
+def choose_response(spectra: Spectra) -> tuple[RunSpectrum, ...]:
+    """Return the measured response to keep aside where nothing is given: one that another one repeats, as of sweeps."""
+    groups: dict[tuple[tuple[str, ...], float], list[RunSpectrum]] = {}
+    for run in spectra.lines:
+        groups.setdefault((run.components, run.rotor_speed), []).append(run)
+    repeated = {key: group for key, group in groups.items() if len(group) > 1}
+    candidates = [[run for run in group if run.run in spectra.responses] for group in repeated.values()]
+    largest = max(candidates, key=len, default=[])
+    return (min(largest, key=lambda run: run.level),) if largest else ()
 
 
 def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
@@ -180,7 +227,12 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> _ModelErrors:
         run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     except np.linalg.LinAlgError:
         return _ModelErrors(RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0))
-    spectra = measured_spectra([run], model.geometry, means=False).in_band(model.band)
+    return _line_errors(measured_spectra([run], model.geometry, means=False).lines, model)
+
+
+def _line_errors(lines: Sequence[RunSpectrum], model: IdentifiedModel) -> _ModelErrors:
+    """Relative error of the response of one run in the band of the model, and its noise floor."""
+    spectra = Spectra(tuple(lines), (), {}, {}).in_band(model.band)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
-    quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]
+    quality = fit_quality(batches, identified_system(model), 0.0, frf_band(batches, model.geometry)).runs[lines[0].run]
     return _ModelErrors(RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor))
