@@ -14,7 +14,11 @@ from balance_cli.diagnosis.consistency.severity import identified_anyway
 from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
-from balance_cli.estimation.measured_responses import add_responses, require_usable_responses
+from balance_cli.estimation.measured_responses import (
+    add_responses,
+    require_independent_lines,
+    require_usable_responses,
+)
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.steps.cross_checks import cross_check, cross_check_responses, keep_findings
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
@@ -63,6 +67,7 @@ def diagnose(
     require_band(band)
     model = model if band is None else replace(model, band=band)
     fitted, responses = to_fitted(runs, model.geometry)
+    require_independent_lines(responses)
     checks, held = to_fitted(hold_out, model.geometry)
     require_disjoint(fitted, checks)
     require_usable_responses((*responses, *held), (*fitted, *checks), model.geometry)

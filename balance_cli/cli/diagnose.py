@@ -25,6 +25,7 @@ from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
+    from balance_cli.cli.fitted_files import FittedFiles
     from balance_cli.diagnosis.result import Diagnosis, HoldOut
     from balance_cli.diagnosis.settings import SearchSettings
     from balance_cli.estimation.identified_model import IdentifiedModel
@@ -92,13 +93,13 @@ def command(
     """
     from balance_cli.cli.consistency import with_findings
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
-    from balance_cli.cli.fitted_files import fitted_spectra, read_fitted_files, read_hold_out_files
+    from balance_cli.cli.fitted_files import fitted_spectra, read_hold_out_files
     from balance_cli.diagnosis.result import NOTHING_MISSING
     from balance_cli.steps.hold_out import choose_hold_out, hold_out_data
 
     before = _load_start_model(session, model, band)
     settings = _search_settings(before, time_limit, suspected, excluded)
-    files = read_fitted_files(session, runs, before.geometry, skip_bad)
+    files = _read_data(session, runs, before, skip_bad)
     held = read_hold_out_files(session, hold_out, before.geometry, skip_bad, files)
     held_runs = _select_usable_hold_out(session, held.runs, before, skip_bad)
     kept_aside = () if hold_out else choose_hold_out(files.runs)
@@ -148,6 +149,16 @@ def _search_settings(
             except UserError as error:
                 raise UserError(error.fault, place=option, remedy=error.remedy) from error
     return replace(DEFAULT_SETTINGS, time_limit=time_limit, suspected=suspected, excluded=excluded)
+
+
+def _read_data(session: Session, paths: tuple[Path, ...], model: IdentifiedModel, skip_bad: bool) -> FittedFiles:
+    """Return the runs and responses to be fitted. Raises UserError for responses whose errors are smooth."""
+    from balance_cli.cli.fitted_files import read_fitted_files
+    from balance_cli.estimation.measured_responses import require_independent_lines
+
+    files = read_fitted_files(session, paths, model.geometry, skip_bad)
+    require_independent_lines(files.responses)
+    return files
 
 
 def _select_usable_hold_out(

@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.model.effects import EFFECTS
-from balance_cli.signals.response.choices import AVERAGED_ESTIMATORS, IMPORTED
+from balance_cli.signals.response.choices import AVERAGED_ESTIMATORS, IMPORTED, PERIODIC
 from balance_cli.signals.response.fitted_lines import spectrum_of_response
 from balance_cli.signals.response.transfer import Transfer
 
@@ -90,6 +90,19 @@ def _require_linear(geometry: Geometry, item: MeasuredResponses) -> None:
         if effect.name in effects_of_samples():
             remedy = "Leave the effect out, or give the runs in place of the responses"
             raise UserError(f"`{effect.name}` cannot be fitted: {NO_SAMPLES}", item.file, "effects", remedy)
+
+
+def require_independent_lines(items: Sequence[MeasuredResponses]) -> None:
+    """Raise UserError for responses whose errors are smooth over frequency, which a diagnosis takes for effects.
+
+    Of six campaigns without a fault, two had a crosstalk of 5 sigma by local models. Their runs are there to be given.
+    """
+    for item in items:
+        for response in item.transfer.responses:
+            if response.estimator not in (PERIODIC, IMPORTED):
+                fault = f"response {response.run} was estimated by `{response.estimator}`: its errors are smooth over"
+                remedy = "Give the runs that it was made from"
+                raise UserError(f"{fault} frequency, and pass for effects", item.file, "responses", remedy)
 
 
 def effects_of_samples() -> tuple[str, ...]:

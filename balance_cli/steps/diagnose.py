@@ -67,8 +67,7 @@ def diagnose(
     `spectra` include means and waveforms; lines outside the band of the model are left out. Raises UserError for a
     model of the paper's form, and without any sweep or any line in the band.
     """
-    spectra = with_load_series(_check_inputs(model, spectra).in_band(model.band))
-    settings = settings_for_responses(spectra, settings).begin()
+    spectra, settings = _check_inputs(model, spectra, settings)
     announce = _Announcer(progress, settings)
     before = balance_model(model.geometry).at(np.array(model.parameters.value, float))
     zeros = find_zeros(before.system(), spectra, settings.data_tests)
@@ -182,13 +181,13 @@ def _lowest_mode(model: IdentifiedModel) -> float:
     return float(model.modes.frequency.min()) if len(model.modes.frequency) else rig_frequency(model.geometry)
 
 
-def _check_inputs(model: IdentifiedModel, spectra: Spectra) -> Spectra:
-    """Return the spectra, if this model can be diagnosed with them."""
+def _check_inputs(model: IdentifiedModel, spectra: Spectra, settings: SearchSettings) -> tuple[Spectra, SearchSettings]:
+    """Return the spectra within the band of the model, and the settings for them, if it can be diagnosed with them."""
     if model.form != "physical":
         raise UserError("the paper's form has no parameters to add to", "MODEL", remedy="Identify with --form physical")
     if not spectra.lines:
         raise UserError("no sweep run to diagnose with", remedy="Give at least one sweep run")
-    return spectra
+    return with_load_series(spectra.in_band(model.band)), settings_for_responses(spectra, settings).begin()
 
 
 class _Announcer:

@@ -113,3 +113,11 @@ def test_the_command_names_what_it_lacks(tmp_path, late):
     assert "time-delay@a.strain" in result.output
     result = CliRunner().invoke(balance, ["diagnose", *paths, "--hold-out", paths[1], *options])
     assert result.exit_code == 2 and "a second time" in result.output
+
+
+def test_responses_with_smooth_errors_are_no_data_of_a_diagnosis(late):
+    """By local models they passed for crosstalk of 5 sigma in two of six campaigns without a fault."""
+    model = bal.identify([], GEOMETRY, method="computed")
+    smooth = replace(late[0], responses=tuple(replace(item, estimator="lrm") for item in late[0].responses))
+    with pytest.raises(UserError, match="estimated by `lrm`: its errors are smooth"):
+        bal.diagnose(model, smooth)
