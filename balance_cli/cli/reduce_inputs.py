@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.wind_off import ZeroRecord
     from balance_cli.signals.nyquist_noise import UsualNoise
+    from balance_cli.signals.response.transfer import Transfer
 
 
 def parse_frequencies(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[float, ...]:
@@ -73,9 +74,9 @@ def read_response(
         compare_static_response(session, calibration, source, identified.geometry, model)
         return _geometry(identified.geometry, calibration), source, identified.usual_noise or ()
     if transfer is not None:
-        from balance_cli.signals.response.transfer import Transfer
+        from balance_cli.signals.response import transfer as results
 
-        measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
+        measured: Transfer = session.artefact(transfer, {"balance-transfer/1": results.Transfer}, "transfer").content
         if calibration is not None:
             require_same_geometry(measured.geometry, calibration, str(transfer))
         repeat_findings(session, calibration, measured)
@@ -83,6 +84,7 @@ def read_response(
             source = transfer_source(measured, interpolation)
         except UserError as error:
             raise error.with_location(file=str(transfer)) from error
+        _report_sigma(session, measured)
         for channel, reason in source.channels_left_out.items():
             session.warn(f"{transfer}: channel {channel} left out of the harmonic loads: {reason}")
         compare_static_response(session, calibration, source, measured.geometry, transfer)
@@ -90,6 +92,17 @@ def read_response(
     assert calibration is not None
     repeat_findings(session, calibration)
     return calibration.geometry, static_source(calibration), ()
+
+
+def _report_sigma(session: Session, measured: Transfer) -> None:
+    """Say where sigma of imported responses comes from, on which that of the loads rests."""
+    from balance_cli.signals.response.transfer import sigma_notes
+
+    notes = sigma_notes(measured)
+    if notes:
+        session.extra_summary["response_notes"] = list(notes)
+    for note in notes:
+        session.echo(f"response: {note}")
 
 
 def _geometry(declared: Geometry, calibration: Calibration | None) -> Geometry:

@@ -26,6 +26,9 @@ MIRRORED = 1e-3
 """Relative difference from the conjugate, up to which lines mirror others: beyond the rounding of six digits."""
 FEWEST_LINES = 5
 
+ZERO = "it is zero at all lines"
+"""Why a channel counts as not measured: one that reads nothing has noise, and what a file lacks is written as zeros."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -61,6 +64,9 @@ def common_lines(curves: Mapping[str, Curve], reference: str) -> CommonLines:
     """
     notes: dict[str, None] = {}
     left_out = {name: reason for name, curve in curves.items() if (reason := _useless(curve))}
+    silent = ", ".join(f"`{name}`" for name, reason in left_out.items() if reason == ZERO)
+    if silent:
+        notes[f"responses to `{reference}`: {silent} zero at all lines: not measured, not a reading of nothing"] = None
     prepared = {
         name: _one_sided(curve, name, reference, notes) for name, curve in curves.items() if name not in left_out
     }
@@ -89,7 +95,7 @@ def _useless(curve: Curve) -> str:
     finite = np.isfinite(curve.value)
     if np.mean(finite) < LEAST_USABLE:
         return f"{np.sum(~finite)} of {len(finite)} lines are not finite"
-    return "" if np.any(curve.value[finite]) else "it is zero at all lines"
+    return "" if np.any(curve.value[finite]) else ZERO
 
 
 def _one_sided(curve: Curve, channel: str, reference: str, notes: dict[str, None]) -> Curve:

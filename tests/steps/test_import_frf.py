@@ -1,5 +1,9 @@
 """Frequency responses of other programs: the true ones of a rig, written as laboratories do, give its true loads."""
 
+import json
+from dataclasses import replace
+
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -7,16 +11,18 @@ from scipy.io import savemat
 
 from balance_cli.api import reduction
 from balance_cli.campaign.recording.frf_map import read_frf_map
+from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.importers.frf import open_frf
 from balance_cli.io.artefacts import Provenance, load_artefact, save_artefact
 from balance_cli.io.errors import UserError
-from balance_cli.signals.response.transfer import Transfer
+from balance_cli.signals.response.line_scatter import WINDOW_TERMS, independent_share, scatter_variance
+from balance_cli.signals.response.transfer import Transfer, sigma_notes
 from balance_cli.steps.frf_checks import geometry_findings, static_findings
 from balance_cli.steps.import_frf import import_responses
 from balance_cli.steps.sweep_tf import estimate_responses
-from tests.support.frf_files import AVERAGES, noisy_responses, uff_map, write_map, write_uff
+from tests.support.frf_files import AVERAGES, noisy_responses, uff_map, write_binary_uff, write_map, write_uff
 from tests.support.truth import true_response
 
 FREQUENCY = np.arange(0.0, 150.01, 0.25)
@@ -309,3 +315,89 @@ def test_errors_name_what_is_missing(tmp_path, campaign, truth):
 
 def replace_rig(geometry):
     return geometry.model_copy(update={"rig": "another"})
+
+
+def test_binary_universal_files_have_the_responses_of_written_ones(tmp_path, campaign, truth):
+    names, values = campaign.geometry.channel_names[:3], truth[1][:, :3, :1]
+    written = write_uff(tmp_path / "text.unv", names, COMPONENTS[:1], FREQUENCY, values)
+    binary = write_binary_uff(tmp_path / "binary.unv", written, values[:, :, 0].T)
+    responses = {f"{11 + i}+Z": name for i, name in enumerate(names)}
+    map_path = write_map(tmp_path / "map.yaml", campaign.geometry.rig, responses=responses, references={"1+X": "Fx"})
+    found = response(imported(map_path, binary, geometry=campaign.geometry), "Fx")
+    np.testing.assert_allclose(found.response, values[1:], rtol=1e-12)
+    np.testing.assert_allclose(found.frequency, FREQUENCY[1:])
+
+
+def test_mat_files_of_version_7_3_are_read(tmp_path, campaign, truth):
+    """HDF5 behind a user block of 512 bytes, dimensions in reverse, complex numbers as pairs."""
+    names, values = campaign.geometry.channel_names[:4], truth[1][:, :4, :2]
+    path = tmp_path / "responses.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, data in (("f", FREQUENCY[None]), ("H", values.T)):
+            if np.iscomplexobj(data):
+                pairs = np.zeros(data.shape, [("real", "f8"), ("imag", "f8")])
+                pairs["real"], pairs["imag"] = data.real, data.imag
+                data = pairs
+            file.create_dataset(name, data=data).attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM")
+    array = {"value": "H", "responses": list(names), "references": list(COMPONENTS[:2])}
+    map_path = write_map(
+        tmp_path / "map.yaml", campaign.geometry.rig, frequency="f", arrays=[array],
+        responses={name: {"name": name, "unit": "V"} for name in names},
+        references={name: {"component": name, "unit": "N"} for name in COMPONENTS[:2]},
+    )  # fmt: skip
+    transfer = imported(map_path, path, geometry=campaign.geometry)
+    for j, name in enumerate(COMPONENTS[:2]):
+        np.testing.assert_allclose(response(transfer, name).response[:, :, 0], values[1:, :, j], rtol=1e-12)
+
+
+@pytest.mark.parametrize("window", ["none", "hann", "flattop"])
+def test_sigma_of_windowed_responses_is_their_scatter(window):
+    """Lines of a window share noise: the scatter tells it, and the share of independent lines is that of the window."""
+    terms = np.array(WINDOW_TERMS[window])
+    kernel = np.concatenate([terms[:0:-1], terms])
+    rng = np.random.default_rng(5)
+    k, c, averages = 600, 8, 200
+    load, *noises = (windowed_noise(rng, averages, k, kernel) for _ in range(c + 1))
+    error = np.mean(np.stack(noises, axis=2) * load.conj()[:, :, None], axis=0)
+    frequency = 5.0 + 0.25 * np.arange(k)
+    exact = 1.0 / (1.0 - (frequency[:, None] / np.linspace(300.0, 400.0, c)) ** 2)
+    variance = scatter_variance(frequency, exact + 1e-3 * error, window)
+    assert np.sqrt(np.median(variance)) == pytest.approx(1e-3 / np.sqrt(averages), rel=0.25)
+    angle = 2.0 * np.pi * np.arange(4096) / 4096
+    w = terms[0] + 2.0 * terms[1:] @ np.cos(np.outer(np.arange(1, len(terms)), angle))
+    assert independent_share(window) == pytest.approx(np.sum(w**2) ** 2 / (len(w) * np.sum(w**4)), rel=1e-9)
+
+
+def windowed_noise(rng, segments, lines, kernel):
+    """Spectra (segments, lines) of noise of unit power, each line with its neighbors as a window has them."""
+    shape = (segments, lines + len(kernel) - 1)
+    white = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2.0 * np.sum(kernel**2))
+    return sum(term * white[:, i : i + lines] for i, term in enumerate(kernel))
+
+
+def test_a_channel_of_zeros_has_a_note(tmp_path, campaign, truth):
+    names, values = campaign.geometry.channel_names[:3], truth[1][:, :3, :1].copy()
+    values[:, 2] = 0.0
+    file = write_uff(tmp_path / "zeros.unv", names, COMPONENTS[:1], FREQUENCY, values, truth[2][:, :3, :1])
+    responses = {f"{11 + i}+Z": name for i, name in enumerate(names)}
+    map_path = write_map(tmp_path / "map.yaml", campaign.geometry.rig, responses=responses, references={"1+X": "Fx"},
+                         averages=AVERAGES)  # fmt: skip
+    transfer = imported(map_path, file, geometry=campaign.geometry)
+    assert any(f"`{names[2]}` zero at all lines: not measured" in note for note in transfer.import_notes)
+    (note,) = sigma_notes(transfer)
+    assert f"sigma by the coherence of {AVERAGES} averages" in note
+
+
+def test_reduce_says_where_sigma_of_imported_responses_comes_from(tmp_path, campaign):
+    notes = ("taken as -Fz", "`1-Z`: sigma by the coherence of 30 averages")
+    transfer = replace(sweep_responses(campaign), import_notes=notes)
+    save_artefact(tmp_path / "tf.h5", "balance-transfer/1", transfer, Provenance("test", {}, (), {}, ""))
+    write_run(tmp_path / "wind.h5", campaign.runs_of_kind("wind")[0])
+    call = ["reduce", "--transfer", str(tmp_path / "tf.h5"), str(tmp_path / "wind.h5"), "-o", str(tmp_path / "l.csv"),
+            "--interpolation", "nearest"]  # fmt: skip
+    result = CliRunner().invoke(balance, [*call, "--json", str(tmp_path / "l.json")])
+    assert result.exit_code == 0, result.output
+    assert f"response: {notes[1]}" in result.output
+    assert json.loads((tmp_path / "l.json").read_text())["response_notes"] == [notes[1]]

@@ -78,3 +78,18 @@ def uff_map(path, geometry, **entries):
     references = {f"1+{axis}": name for axis, name in zip(axes, COMPONENTS, strict=True)}
     entries = {"references": references, **entries}
     return write_map(path, geometry.rig, responses={f"{11 + i}+Z": name for i, name in enumerate(names)}, **entries)
+
+
+def write_binary_uff(path, written, functions):
+    """Write the datasets 58 of a `written` file as 58b: eleven lines of text, then the complex `functions`.
+
+    (pyuff loses the head of the second binary set that it writes to a file.)
+    """
+    parts = []
+    for dataset, values in zip(Path(written).read_text().split("    -1\n    58")[1:], functions, strict=True):
+        head = "".join(dataset.splitlines(keepends=True)[1:12])
+        data = np.asarray(values, "<c16").tobytes()
+        kind = f"{'58b':>6}{1:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
+        parts.append(f"    -1\n{kind}\n{head}".encode() + data + b"    -1\n")
+    path.write_bytes(b"".join(parts))
+    return path

@@ -173,6 +173,11 @@ def least_coherence(transfer: Transfer) -> dict[str, float]:
     }
 
 
+def sigma_notes(transfer: Transfer) -> tuple[str, ...]:
+    """Return where sigma of imported responses comes from, in words; empty of responses of `sweep-tf`."""
+    return tuple(note for note in transfer.import_notes or () if "sigma" in note)
+
+
 def response_components(transfer: Transfer) -> tuple[str, ...]:
     """Return the components to which some response was measured, in the usual order."""
     measured = {name for response in transfer.responses for name in response.components}
