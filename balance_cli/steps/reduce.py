@@ -20,7 +20,6 @@ from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED, NOT_STEADY
 from balance_cli.reduction.gain_error import add_gain_error
 from balance_cli.reduction.harmonic_loads import harmonic_loads, harmonic_response, load_problem
-from balance_cli.reduction.known_load_channels import describe_wrong_channels
 from balance_cli.reduction.load_fluctuation import add_load_fluctuation
 from balance_cli.reduction.mean_attitude import without_change_of_weight, zero_in_attitude
 from balance_cli.reduction.mean_loads import MEANS_REMOVED, MeanLoads, linear_mean_loads, unmeasured_mean_loads
@@ -166,6 +165,8 @@ def _with_check_errors(
     response: ComplexArray,
 ) -> RunLoads:
     """Return the loads of a check run with their errors, flagged where these are those of another unit or sign."""
+    from balance_cli.reduction.known_load_channels import describe_wrong_channels  # wind runs do without
+
     check = check_errors(record, solution, geometry, source)
     wrong = describe_wrong_channels(record, geometry, source, response, check.applied)
     return flag_scale_contradiction(replace(loads, check=replace(check, wrong_channels=wrong)))

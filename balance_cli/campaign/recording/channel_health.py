@@ -25,6 +25,7 @@ from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run, read_chan
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import carried_components
 
 FLATLINE_FACTOR = 5.0
 """Length of a flatline that makes a channel dead, over the expected longest one.
@@ -87,6 +88,8 @@ def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
     present = [channel for channel in declared if channel.name in run.channel_names]
     driving_loads = {channel.name: _loads_through_channel(channel, geometry) for channel in present}
     faults = channel_faults(run, {channel.name: channel.range for channel in present}, driving_loads)
+    if run.kind in ("check", "wind"):
+        faults = {**_silent_faults(run, geometry, present), **faults}
     if run.kind == "wind":
         faults = {**_copies(run, {channel.name: channel.source for channel in present}), **faults}
     absent = {channel.name: "absent from the run" for channel in declared if channel.name not in run.channel_names}
@@ -217,6 +220,24 @@ def _flatline_fault(record: ChannelStatistics) -> str:
 
 def _has_flatline(record: ChannelStatistics) -> bool:
     return record.samples >= LEAST_SAMPLES and record.flatline_length > _longest_plausible_flatline(record)
+
+
+def _silent_faults(run: Run, geometry: Geometry, channels: Sequence[Channel]) -> dict[str, str]:
+    """Return the channels that fall silent while the others do not, and how long.
+
+    One that does so to the end of the record, and that the loads need, is left to the tests of steadiness.
+    """
+    from balance_cli.campaign.recording.silent_segment import silent_segments  # runs with a rotor alone need it
+
+    sources = {item.name: item.source for item in channels}
+    segments = silent_segments(run, list(sources))
+    others = {source for name, source in sources.items() if name not in segments}
+    is_needed = len(others) < len(carried_components(geometry))
+    return {
+        name: f"dead for part of the record: noise alone from sample {first} to {last}, while other channels go on"
+        for name, (first, last) in segments.items()
+        if not is_needed or last < run.samples - 1
+    }
 
 
 def _longest_plausible_flatline(record: ChannelStatistics) -> float:

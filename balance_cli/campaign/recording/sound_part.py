@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.channel_health import LEAST_FLATLINE
 from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.run import Run, excerpt_run, read_channel_rows
+from balance_cli.campaign.recording.silent_segment import silent_segments
 
 Mask = NDArray[np.bool_]
 
@@ -35,10 +36,13 @@ def longest_sound_part(run: Run, channels: Iterable[str]) -> SoundPart | None:
 
     None also where no channel is lost: another fault keeps them from being used.
     """
-    lost = np.zeros(run.samples, bool)
+    lost, channels = np.zeros(run.samples, bool), set(channels)
     for name in channels:
         if name in run.channel_names:
             lost |= _lost_samples(run, name)
+    for name, (first, last) in silent_segments(run, run.channel_names).items():
+        if name in channels:
+            lost[first : last + 1] = True
     if not lost.any() or run.sample_rate is None:
         return None
     edges = np.flatnonzero(np.diff(np.concatenate([[True], lost, [True]]).astype(np.int8)))
