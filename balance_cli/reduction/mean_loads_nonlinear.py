@@ -146,27 +146,28 @@ def _describe_loads(
     total_covariance = noise + coefficient_covariance
     linearized = np.diag(model.load_covariance(loads, noise, rows)[0])
     tested = linearized if direct is None else _non_iterative_variance(direct, calibration, reading)
-    variance, untested = tested, all_trims.untested_products
-    if untested is not None:
-        total_covariance = total_covariance + untested.reading_covariance(reached, rows)[0]
-        variance = tested + np.diag(untested.load_covariance(model, reached, rows)[0])
+    variance, products = tested, all_trims.untested_products
+    if products is not None:
+        total_covariance = total_covariance + products.reading_covariance(reached, rows)[0]
+        variance = tested + np.diag(products.load_covariance(model, reached, rows)[0])
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     outside = untested_components(model.components, variance, tested)
     sigma = np.sqrt(variance * (redundancy if redundancy > limit else 1.0))
     W = np.linalg.inv(total_covariance)
     equations = LoadEquations(J, reading.change, total_covariance, np.linalg.solve(J.T @ W @ J, J.T @ W))
     names = [sensors_of_channels(calibration.geometry).get(model.channel_names[row], "") for row in rows]
+    untested = untested_means(equations, names, limit, sigma / model.calibrated_range)  # loads of J are relative to it
     mean_loads = MeanLoads(
         components=model.components,
         loads=loads[0] - all_trims.level_weight_loads,
         sigma=sigma,
         trim=ALL_TRIMS,
-        flags=run_flags(zero, redundancy > limit, untested_means(equations, names, limit, sigma)),
+        flags=run_flags(zero, redundancy > limit, untested | np.isnan(redundancy)),
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
         method=iteration_name(all_trims) if direct is None else NON_ITERATIVE,
-        note="" if untested is None or not outside else describe_untested(untested, reached[0], outside),
+        note="" if products is None or not outside else describe_untested(products, reached[0], outside),
     )
     return flag_extrapolated(mean_loads, (*model.extrapolated_components(loads[0]), *outside))
 

@@ -230,3 +230,18 @@ def test_the_proof_holds_where_a_load_has_next_to_no_part_in_the_slowest_directi
     x, y = (proof.reach * rng.uniform(-1, 1, (500, 6)) for _ in range(2))
     after = np.abs((term_values(terms, x) - term_values(terms, y)) @ nonlinear_matrix.T)
     assert np.all(after <= np.abs(x - y) @ M.T + 1e-12)
+
+
+def test_what_is_untested_is_judged_by_loads_and_sigma_in_one_unit(monkeypatch):
+    """Loads relative to their range were compared with sigma in N: three cells that nothing tests left Fz 9 sigma off."""
+    judged = []
+
+    def judge(equations, sensors, limit, sigma):
+        judged.append((equations.estimator @ equations.readings, sigma))
+        return np.zeros(len(sigma), bool)
+
+    monkeypatch.setattr("balance_cli.reduction.mean_loads_nonlinear.untested_means", judge)
+    found = reduced(record("w", LOADS), calibration(), zero())
+    (loads, sigma), in_newton = judged[0], calibration().all_trims.model.calibrated_range
+    np.testing.assert_allclose(loads * in_newton, LOADS, rtol=0.05, atol=5.0)
+    np.testing.assert_allclose(sigma * in_newton, found.sigma_cosine[0], rtol=1e-6)
