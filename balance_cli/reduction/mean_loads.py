@@ -136,7 +136,9 @@ def _loads_by_trim(
         loads=trim.mean_load + change,
         sigma=sigma,
         trim=trim.trim,
-        flags=run_flags(zero, redundancy > limit, untested_means(equations, names, limit, sigma)),
+        flags=run_flags(
+            zero, redundancy > limit, untested_means(equations, names, limit, sigma) | np.isnan(redundancy)
+        ),
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=trim.condition,

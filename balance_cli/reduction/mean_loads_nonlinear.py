@@ -153,8 +153,7 @@ def _describe_loads(
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     outside = untested_components(model.components, variance, tested)
     sigma = np.sqrt(variance * (redundancy if redundancy > limit else 1.0))
-    W = np.linalg.inv(total_covariance)
-    equations = LoadEquations(J, reading.change, total_covariance, np.linalg.solve(J.T @ W @ J, J.T @ W))
+    equations = _weighted_equations(J, reading.change, total_covariance)
     names = [sensors_of_channels(calibration.geometry).get(model.channel_names[row], "") for row in rows]
     untested = untested_means(equations, names, limit, sigma / model.calibrated_range)  # loads of J are relative to it
     mean_loads = MeanLoads(
@@ -170,6 +169,12 @@ def _describe_loads(
         note="" if products is None or not outside else describe_untested(products, reached[0], outside),
     )
     return flag_extrapolated(mean_loads, (*model.extrapolated_components(loads[0]), *outside))
+
+
+def _weighted_equations(J: Array, change: Array, covariance: Array) -> LoadEquations:
+    """Return the equations of loads for the change (c,) of readings, J (c, k), weighted by the covariance (c, c)."""
+    W = np.linalg.inv(covariance)
+    return LoadEquations(J, change, covariance, np.asarray(np.linalg.solve(J.T @ W @ J, J.T @ W)))
 
 
 def _without_shift(reading: MeanReading, oscillating: VibrationShift) -> MeanReading:

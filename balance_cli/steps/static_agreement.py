@@ -8,7 +8,7 @@ standard deviations (20 trims).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ GROSS_FACTOR = 2.0
 """Factor that no effect of a rig has on what a load mainly reads: units, polarity, another balance."""
 MAIN_SHARE = 0.5
 """Share of the range of a channel under the calibrated loads from which an element is one of its main ones."""
+EXACT_SHARE = 1e-9
+"""Of the largest element: standard deviation of one that is exact, so that its square has a value."""
 LEFT_SHARE = 0.1
 """Of the weighted squared differences of a load: what a factor on it may leave of them, to explain them."""
 SAME_FACTOR = 0.1
@@ -93,7 +95,8 @@ class StaticComparison:
         A load that is small beside the others of its channels changes little of their range, and yet all of itself. The
         errors of the elements may have one cause: that of the factor is taken as if they had.
         """
-        weight = 1.0 / np.maximum(self.sigma, np.finfo(float).tiny)
+        least = EXACT_SHARE * float(np.max(np.abs(self.response), initial=0.0))
+        weight = 1.0 / np.maximum(self.sigma, max(least, np.finfo(float).tiny))
         C0, response, slack = self.C0 * weight, self.response * weight, self.slack * weight
         size = np.maximum(np.sum(response**2, axis=0), np.finfo(float).tiny)
         factor = np.sum(C0 * response, axis=0) / size
@@ -138,6 +141,7 @@ def _comparisons(calibration: Calibration, source: ResponseSource) -> Iterator[S
     for trim in calibration.trims.values() if rest is not None else ():
         assert rest is not None
         comparison = _compare(trim, source, *rest)
+        comparison = comparison if calibration.errors_known else _compare_loads(comparison)
         if comparison.channels:
             yield comparison
 
@@ -173,6 +177,20 @@ def _compare(
     return StaticComparison(
         trim, tuple(usable), C0, value[other], error, slack[other], reading[:, None] / largest[None, :]
     )
+
+
+def _compare_loads(comparison: StaticComparison) -> StaticComparison:
+    """Return the comparison of a matrix that states loads of readings alone, T0 (k, r).
+
+    With more channels than loads, it leaves open what these read: readings R f of the response count as loads T0 R f,
+    so that R (T0 R)^-1 are those of a unit of them.
+    """
+    T0, response = comparison.trim.T0, comparison.response
+    if T0.shape[1] == T0.shape[0] or comparison.channels != comparison.trim.channel_names:
+        return comparison
+    loads = T0 @ response
+    is_regular = np.linalg.matrix_rank(loads) == len(loads)
+    return replace(comparison, C0=response @ np.linalg.inv(loads)) if is_regular else comparison
 
 
 def _finding(comparison: StaticComparison, is_nonlinear: bool) -> ConsistencyFinding | None:

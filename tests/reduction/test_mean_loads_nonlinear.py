@@ -233,7 +233,7 @@ def test_the_proof_holds_where_a_load_has_next_to_no_part_in_the_slowest_directi
 
 
 def test_what_is_untested_is_judged_by_loads_and_sigma_in_one_unit(monkeypatch):
-    """Loads relative to their range were compared with sigma in N: three cells that nothing tests left Fz 9 sigma off."""
+    """Loads relative to their range were compared with sigma in N: three untested cells left Fz 9 sigma off."""
     judged = []
 
     def judge(equations, sensors, limit, sigma):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import balance_cli as bal
+from balance_cli.calibration.linear_matrix import LinearMatrix
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
@@ -16,6 +18,7 @@ from balance_cli.reduction.model_sources import model_source
 from balance_cli.signals.response.transfer import select_channels
 from balance_cli.simulation import Noise, simulate_campaign, true_rig
 from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.calibration_from_linear_matrix import calibration_from_linear_matrix
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.static_agreement import static_findings
 from balance_cli.steps.sweep_tf import estimate_responses
@@ -146,3 +149,25 @@ def test_loads_of_contradicting_calibrations_are_flagged_or_refused(campaign, id
         assert any("at rest" in note for note in loads.notes)
     with pytest.raises(UserError, match="kgf"):
         bal.reduce(wind, scale(calibration, STANDARD_GRAVITY), identified)
+
+
+def matrix_of(calibration, source, geometry, weight, factor=1.0):
+    """A matrix of loads from readings alone, which channels weigh otherwise than their response does."""
+    trim = calibration.trims["bare"]
+    rows = [source.system.channel_names.index(name) for name in trim.channel_names]
+    response = source.at(np.zeros(1), 0.0)[0].real[rows][:, [COMPONENTS.index(name) for name in trim.components]]
+    T0 = np.linalg.pinv(response * weight[: len(rows), None]) * weight[: len(rows)]
+    T0[0] *= factor
+    units = tuple("V" for _ in rows)
+    matrix = LinearMatrix(trim.components, trim.channel_names, units, T0, trim.calibrated_range)
+    return calibration_from_linear_matrix(matrix, geometry, ())
+
+
+@pytest.mark.parametrize("letter", ["A", "B", "D"])
+def test_a_matrix_of_loads_from_more_channels_leaves_open_what_these_read(rigs, letter):
+    """The pseudo-inverse of one with other weights differed by 37 % from the response, and all loads were flagged."""
+    calibration, source, geometry = rigs[letter]
+    weight = 10.0 ** np.random.default_rng(2).uniform(-0.5, 0.5, 40)
+    assert static_findings(matrix_of(calibration, source, geometry, weight), source, geometry) == ()
+    (finding,) = static_findings(matrix_of(calibration, source, geometry, weight, 1.05), source, geometry)
+    assert not finding.is_fault and calibration.trims["bare"].components[0] in finding.components
