@@ -70,12 +70,20 @@ class StartingPoints:
 
 
 def find_starting_values(
-    parameters: ParameterSet, batches: Sequence[Batch], system: SystemAt, start: Array
+    parameters: ParameterSet,
+    batches: Sequence[Batch],
+    system: SystemAt,
+    start: Array,
+    deadline: Deadline | None = None,
 ) -> StartingPoints:
-    """Fit starting values from `start`; priors determine what the data do not."""
+    """Fit starting values from `start`; priors determine what the data do not. `deadline`: as in `minimize`."""
     weakly_constrained = add_weak_priors(parameters, start, EFFECT_PRIOR_SCALES)
     aligned = _fit_regression(
-        weakly_constrained, [alignment_residual(batch, line_stride(batches)) for batch in batches], system, start
+        weakly_constrained,
+        [alignment_residual(batch, line_stride(batches)) for batch in batches],
+        system,
+        start,
+        deadline,
     )
     aligned_system = system(aligned, True)
     effects_fixed = _fit_regression(
@@ -83,12 +91,17 @@ def find_starting_values(
         motion_residuals(batches, aligned_system),
         system,
         aligned,
+        deadline,
     )
     effects_free = effects_fixed
     highest = max((float(batch.frequency[-1]) for batch in batches), default=0.0)
     for share in BAND_EDGES if np.any(aligned_system.equations.own_stiffness) else BAND_EDGES[-1:]:
         effects_free = _fit_regression(
-            weakly_constrained, motion_residuals(batches, aligned_system, share * highest), system, effects_free
+            weakly_constrained,
+            motion_residuals(batches, aligned_system, share * highest),
+            system,
+            effects_free,
+            deadline,
         )
     return StartingPoints(effects_fixed, effects_free)
 

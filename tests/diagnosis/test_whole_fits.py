@@ -7,6 +7,7 @@ import pytest
 
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.campaign.rig.rig_scales import inertia_by_motion, stiffness_by_motion
 from balance_cli.diagnosis.search import search as search_module
 from balance_cli.diagnosis.search.refit import fit_until_stable, take_steps
 from balance_cli.diagnosis.search.rounds import RoundResult, search_round
@@ -137,6 +138,32 @@ def test_a_support_as_heavy_and_as_soft_as_the_balance_is_found(heavier, softer)
     assert label.startswith("support-flexibility@z") and found.error < 3 * NOISE
     fitted = dict(zip(found.model.parameters.names, found.theta.tolist(), strict=True))
     assert fitted[f"{label}.compliance_z"] == pytest.approx(softer / stiffness, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("heavier", "softer"),
+    [((8.0, 8.0), (0.2, 0.2)), ((8.0, 8.0), (0.5, 0.5)), ((4.0, 8.0), (0.1, 0.3))],
+    ids=["heavy", "heavy and soft", "unlike motions"],
+)
+def test_a_support_whose_modes_are_below_those_of_the_balance_is_found(heavier, softer):
+    """Two motions, so that no start has both right: fits from them had ended at 34 to 50 % of the response."""
+    inertia, stiffness = inertia_by_motion(RIG), stiffness_by_motion(RIG)
+    truth = {
+        "mass": heavier[0] * inertia["z"],
+        "inertia_theta": heavier[1] * inertia["theta"],
+        "compliance_z": softer[0] / stiffness["z"],
+        "compliance_theta": softer[1] / stiffness["theta"],
+    }
+    others = {"damping_ratio": 0.005, "x": 0.02, "z": -0.3}
+    support = DeclaredEffect(name="support-flexibility", where=("z", "theta"), parameters={**truth, **others})
+    lines = lines_of(RIG.model_copy(update={"effects": (support,)}))
+    state = fitted_state(lines)
+    found, trials, _ = add_by_whole_fit(state, lines, SETTINGS)
+    (label,) = [trial.label for trial in trials if trial.decision == "accepted"]
+    fitted = dict(zip(found.model.parameters.names, found.theta.tolist(), strict=True))
+    assert found.error < 3 * NOISE
+    for name, value in truth.items():
+        assert fitted[f"{label}.{name}"] == pytest.approx(value, rel=0.03), name
 
 
 def test_a_body_is_tried_where_the_rounds_have_ended_with_a_large_error(monkeypatch):

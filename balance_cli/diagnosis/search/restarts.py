@@ -46,9 +46,10 @@ def restarted_values(state: SearchState, settings: SearchSettings) -> list[Array
     vectors, is_stuck = list[Array](), state.error > settings.rounds.stuck_error
     for effect in declared_effects(state.geometry):
         hints = effect.effect.search
-        restarts = hints.restarts if is_stuck or hints.point_mass is not None else None
+        if not is_stuck and hints.point_mass is None:
+            continue
         full_names = {item.fitted_name: effect.full_name(item) for item in effect.parameters}
-        for values in () if restarts is None else restarts(state.geometry, effect.where):
+        for values in hints.restart_values(state.geometry, effect.where):
             theta = state.theta.copy()
             for name, value in values.items():
                 theta[state.model.parameters.index(full_names[name])] = value

@@ -9,23 +9,29 @@ have it.
 A support as soft and as heavy as the balance splits a mode in two far from its place. A fit without it ends between
 the two, where no small compliance helps; a mode of free shape and a false gain of the load would describe more. Such a
 body is also tried where the rounds of the search have ended with a large error: a lighter one is hidden by what they
-take in its place.
+take in its place. The modes of a heavy one may all be below those of the balance. No start has all of its motions right
+then; from the lowest lines on, where each is a deflection, a regression finds them together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
 from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
-from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, regress
+from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, regress, regress_in_bands
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
+from balance_cli.estimation.batch import Batch
+from balance_cli.model.balance import Estimate
+
+Regression = Callable[[Estimate, Sequence[Batch], FitSettings], Estimate]
 
 REASON = "the model misses a large part of the response, and a whole fit with it describes more"
 
@@ -61,8 +67,8 @@ def add_by_whole_fit(
     """
     if state.error <= settings.rounds.gross_error:
         return state, (), {}
-    pool = (*_common_candidates(state, settings), *_large_bodies(state, settings))
-    accepted, trials, gains = _best_whole_fit(state, state, pool, lines, 1, settings)
+    starts = (*_common_starts(state, settings), *_starts_of_bodies(state, settings))
+    accepted, trials, gains = _best_whole_fit(state, state, starts, lines, 1, settings)
     return accepted or state, trials, gains
 
 
@@ -74,25 +80,42 @@ def add_body_by_whole_fit(
     `current`: where rounds from `base` have ended, with a large error. None without such a body. Trials have this round
     `number`.
     """
-    return _best_whole_fit(base, current, _large_bodies(base, settings), lines, number, settings)
+    return _best_whole_fit(base, current, _starts_of_bodies(base, settings), lines, number, settings)
+
+
+@dataclass(frozen=True)
+class _WholeFitStart:
+    """A candidate, whose first start is taken, and the regression from there.
+
+    With `is_enough` no further start of the same candidate is tried where this one leaves no large error.
+    """
+
+    candidate: Candidate
+    regression: Regression = regress
+    is_enough: bool = False
 
 
 def _best_whole_fit(
     base: SearchState,
     current: SearchState,
-    pool: Sequence[Candidate],
+    starts: Sequence[_WholeFitStart],
     lines: SearchLines,
     number: int,
     settings: SearchSettings,
 ) -> tuple[SearchState | None, tuple[Trial, ...], dict[str, dict[str, float]]]:
-    """The whole fit of `base` with one of a pool that describes clearly more than `current`, None without one."""
-    ends = dict[str, SearchState]()
-    for item in pool:
+    """The whole fit of `base` with one candidate that describes clearly more than `current`, None without one."""
+    ends, done = dict[str, SearchState](), set[str]()
+    for start in starts:
         if settings.fit.is_over:
             break
-        end = whole_fit(base, [item], lines, settings)
-        if item.label not in ends or end.fit_criterion < ends[item.label].fit_criterion:
-            ends[item.label] = end
+        label = start.candidate.label
+        if label in done:
+            continue
+        end = whole_fit(base, [start.candidate], lines, settings, start.regression)
+        if label not in ends or end.fit_criterion < ends[label].fit_criterion:
+            ends[label] = end
+        if start.is_enough and end.error <= settings.rounds.large_error:
+            done.add(label)
     gains = {
         label: base.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(base.theta))
         for label, end in ends.items()
@@ -105,27 +128,36 @@ def _best_whole_fit(
     return ends[accepted], trials, {accepted: gains}
 
 
-def _common_candidates(state: SearchState, settings: SearchSettings) -> Sequence[Candidate]:
+def _common_starts(state: SearchState, settings: SearchSettings) -> Sequence[_WholeFitStart]:
     """The effects that turn the phase of a channel, at the group of most channels, or of the loads of all exciters."""
-    place, found = _widest_group(state.geometry), list[Candidate]()
+    place, found = _widest_group(state.geometry), list[_WholeFitStart]()
     for item in candidates(state.geometry, excluded=settings.excluded):
         where, hints = item.placed_effect.where, item.effect.search
         ratio, starts = hints.channel_ratio, hints.whole_fit_starts
         if where == (place,) and ratio is not None and not ratio.sensitivity:
-            found.append(item)
+            found.append(_WholeFitStart(item))
         elif where == (ALL,) and starts is not None:
-            found += [replace(item, starts=(start,)) for start in starts(state.geometry)]
+            found += [_WholeFitStart(replace(item, starts=(start,))) for start in starts(state.geometry)]
     return found
 
 
-def _large_bodies(state: SearchState, settings: SearchSettings) -> Sequence[Candidate]:
-    """The effects that bring a further body, begun from each of their restarts, which are far from their null."""
-    pool = candidates(state.geometry, excluded=settings.excluded)
-    return [
-        replace(item, starts=({**item.starts[0], **values},))
-        for item in pool
+def _starts_of_bodies(state: SearchState, settings: SearchSettings) -> Sequence[_WholeFitStart]:
+    """The effects that bring a further body: from their first start by bands, then from restarts far from their null.
+
+    The bands find a heavy body from a light one; the soft and light of the restarts have no band below their resonance.
+    """
+    pool = [
+        item
+        for item in candidates(state.geometry, excluded=settings.excluded)
         if item.effect.search.restarts is not None and item.effect.search.point_mass is None
-        for values in item.effect.search.restarts(state.geometry, item.placed_effect.where)
+    ]
+    return [
+        *(_WholeFitStart(item, regress_in_bands, is_enough=True) for item in pool),
+        *(
+            _WholeFitStart(replace(item, starts=({**item.starts[0], **values},)))
+            for item in pool
+            for values in item.effect.search.restart_values(state.geometry, item.placed_effect.where)
+        ),
     ]
 
 
@@ -136,13 +168,17 @@ def _widest_group(geometry: Geometry) -> str:
 
 
 def whole_fit(
-    state: SearchState, added: Sequence[Candidate], lines: SearchLines, settings: SearchSettings
+    state: SearchState,
+    added: Sequence[Candidate],
+    lines: SearchLines,
+    settings: SearchSettings,
+    regression: Regression = regress,
 ) -> SearchState:
     """Return the fit from a regression that begins at the declared values: those of the state fit without the added."""
     geometry = add_candidates(state.geometry, [(item, 0) for item in added], at_start_values=True)
     model = extend_model(state, geometry).model
     declared = model.at()
-    return fit_until_stable(regress(declared, lines.fitted, settings.fit), lines, settings.fit)
+    return fit_until_stable(regression(declared, lines.fitted, settings.fit), lines, settings.fit)
 
 
 def whole_fit_trial(label: str, gain: float, accepted: bool, number: int) -> Trial:

@@ -130,3 +130,7 @@ class SearchHints:
     whole_fit_starts: Callable[[Geometry], tuple[Start, ...]] | None = None
     on_request: bool = False
     in_every_set_up: bool = False
+
+    def restart_values(self, geometry: Geometry, where: Where) -> tuple[Start, ...]:
+        """Return the sets of values of `restarts`, none without them."""
+        return () if self.restarts is None else self.restarts(geometry, where)
