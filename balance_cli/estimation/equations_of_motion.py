@@ -78,7 +78,7 @@ def _build_motion_residuals(
     One for each set of exciters that are attached, where these resist the motion.
     """
     selection = every_nth_line(batch, stride, max_frequency)
-    selection = selection[_loaded_lines(batch)[selection]]
+    selection = selection[loaded_lines(batch)[selection]]
     measured = measured_forces(batch, start)
     resist = not batch.is_static and attach_exciters(start, np.ones(6, bool)) is not start
     attached = attached_exciters(batch)[selection] & resist
@@ -98,8 +98,8 @@ def _motion_lines(
     return _MotionLines(measured.spin, batch.is_static, attached, frequency, measured.rows, forces, loads, weight)
 
 
-def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
-    """Mask (K,) of lines with enough load; the mean of a sweep, which has none, would be weighted by its noise."""
+def loaded_lines(batch: Batch) -> NDArray[np.bool_]:
+    """Return the mask (K,) of lines with enough load; the mean of a sweep, without any, would weigh its noise."""
     level = np.sqrt(np.sum(np.abs(batch.lines.loads) ** 2, axis=1))
     median = np.array([np.median(level[part]) if part.stop > part.start else 0.0 for part in batch.parts])
     return np.asarray(level > MIN_LOAD_RATIO * median[batch.lines.run])

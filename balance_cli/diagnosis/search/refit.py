@@ -6,7 +6,7 @@ an effect gains by reducing the error of all runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -187,3 +187,20 @@ def fit_with_candidate(
 def restart(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:
     """Return the same model, with all parameters fitted again from the regression."""
     return fit_until_stable(regress(state, lines.fitted, settings), lines, settings)
+
+
+def whole_fit(
+    state: SearchState,
+    added: Sequence[Candidate],
+    lines: SearchLines,
+    settings: SearchSettings,
+    regression: Callable[[Estimate, Sequence[Batch], FitSettings], Estimate] = regress,
+) -> SearchState:
+    """Return the fit from a regression that begins at the declared values: those of the state fit without the added.
+
+    The candidates begin at their first start.
+    """
+    geometry = add_candidates(state.geometry, [(item, 0) for item in added], at_start_values=True)
+    model = extend_model(state, geometry).model
+    declared = model.at()
+    return fit_until_stable(regression(declared, lines.fitted, settings.fit), lines, settings.fit)

@@ -135,7 +135,7 @@ def _add_effects(
             if found is not None:
                 continue
         if not stuck and _is_slow(state, added.state, settings):
-            better = None if sought else _describe_by_resonance(base, result, first, lines, number, settings)
+            better = None if sought else _describe_anew(base, result, first, lines, number, settings)
             sought = True
             if better is None:
                 restarted = restart_if_better(result.state, lines, settings)
@@ -153,17 +153,19 @@ def _add_effects(
     return result
 
 
-def _describe_by_resonance(
+def _describe_anew(
     base: SearchState, result: SearchResult, first: int, lines: SearchLines, number: int, settings: SearchSettings
 ) -> SearchResult | None:
-    """The result with one resonance in place of all that was accepted from trial `first` on, after `base`.
+    """The result with a body or one resonance in place of all that was accepted from trial `first` on, after `base`.
 
-    None where little is missing, or where no resonance describes all.
+    None where little is missing, or where neither describes all.
     """
     if result.state.error <= settings.rounds.stuck_error:
         return None
-    state, trials = add_resonance_by_whole_fit(base, result.state, lines, number, settings)
-    return None if state is None else result.supersede(first).add(state, trials, {})
+    state, trials, gains = add_body_by_whole_fit(base, result.state, lines, number, settings, quick=True)
+    if state is None:
+        state, trials = add_resonance_by_whole_fit(base, result.state, lines, number, settings)
+    return None if state is None else result.supersede(first).add(state, trials, gains)
 
 
 def _is_slow(before: SearchState, after: SearchState | None, settings: SearchSettings) -> bool:

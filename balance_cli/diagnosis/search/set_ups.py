@@ -16,9 +16,9 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
-from balance_cli.diagnosis.search.refit import SearchState
+from balance_cli.diagnosis.search.refit import SearchState, whole_fit
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.diagnosis.search.whole_fits import describes_more, whole_fit, whole_fit_trial
+from balance_cli.diagnosis.search.whole_fits import describes_more, whole_fit_trial
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.levenberg_marquardt import prior_curvature

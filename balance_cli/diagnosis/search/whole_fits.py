@@ -17,21 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.fit_settings import FitSettings
 from balance_cli.diagnosis.result import Trial
+from balance_cli.diagnosis.search.body_fits import fit_by_bands, fit_by_measured_motion
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
-from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
-from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, regress, regress_in_bands
+from balance_cli.diagnosis.search.refit import SearchState, whole_fit
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import gain_p_value
-from balance_cli.estimation.batch import Batch
-from balance_cli.model.balance import Estimate
-
-Regression = Callable[[Estimate, Sequence[Batch], FitSettings], Estimate]
 
 REASON = "the model misses a large part of the response, and a whole fit with it describes more"
 
@@ -67,55 +63,65 @@ def add_by_whole_fit(
     """
     if state.error <= settings.rounds.gross_error:
         return state, (), {}
-    starts = (*_common_starts(state, settings), *_starts_of_bodies(state, settings))
-    accepted, trials, gains = _best_whole_fit(state, state, starts, lines, 1, settings)
+    attempts = (*_common_attempts(state, settings), *_attempts_with_bodies(state, settings))
+    accepted, trials, gains = _best_whole_fit(state, state, attempts, lines, 1, settings)
     return accepted or state, trials, gains
 
 
 def add_body_by_whole_fit(
-    base: SearchState, current: SearchState, lines: SearchLines, number: int, settings: SearchSettings
+    base: SearchState,
+    current: SearchState,
+    lines: SearchLines,
+    number: int,
+    settings: SearchSettings,
+    quick: bool = False,
 ) -> tuple[SearchState | None, tuple[Trial, ...], dict[str, dict[str, float]]]:
     """Return the state `base` with a further body that describes more than the `current` one, as `add_by_whole_fit`.
 
     `current`: where rounds from `base` have ended, with a large error. None without such a body. Trials have this round
-    `number`.
+    `number`. `quick`: without the restarts, which are many.
     """
-    return _best_whole_fit(base, current, _starts_of_bodies(base, settings), lines, number, settings)
+    attempts = [item for item in _attempts_with_bodies(base, settings) if item.is_enough or not quick]
+    return _best_whole_fit(base, current, attempts, lines, number, settings)
 
 
 @dataclass(frozen=True)
-class _WholeFitStart:
-    """A candidate, whose first start is taken, and the regression from there.
+class _Attempt:
+    """A whole fit with the candidate of a label, from one start; None where the start does not exist.
 
-    With `is_enough` no further start of the same candidate is tried where this one leaves no large error.
+    With `is_enough` no further one of the same candidate is tried where this one leaves no large error.
     """
 
-    candidate: Candidate
-    regression: Regression = regress
+    label: str
+    fit: Callable[[SearchState, SearchLines, SearchSettings], SearchState | None]
     is_enough: bool = False
+
+    @classmethod
+    def from_start(cls, candidate: Candidate) -> _Attempt:
+        """The attempt from the first start of a candidate."""
+        return cls(candidate.label, lambda base, lines, settings: whole_fit(base, [candidate], lines, settings))
 
 
 def _best_whole_fit(
     base: SearchState,
     current: SearchState,
-    starts: Sequence[_WholeFitStart],
+    attempts: Sequence[_Attempt],
     lines: SearchLines,
     number: int,
     settings: SearchSettings,
 ) -> tuple[SearchState | None, tuple[Trial, ...], dict[str, dict[str, float]]]:
     """The whole fit of `base` with one candidate that describes clearly more than `current`, None without one."""
     ends, done = dict[str, SearchState](), set[str]()
-    for start in starts:
+    for attempt in attempts:
         if settings.fit.is_over:
             break
-        label = start.candidate.label
-        if label in done:
+        end = None if attempt.label in done else attempt.fit(base, lines, settings)
+        if end is None:
             continue
-        end = whole_fit(base, [start.candidate], lines, settings, start.regression)
-        if label not in ends or end.fit_criterion < ends[label].fit_criterion:
-            ends[label] = end
-        if start.is_enough and end.error <= settings.rounds.large_error:
-            done.add(label)
+        if attempt.label not in ends or end.fit_criterion < ends[attempt.label].fit_criterion:
+            ends[attempt.label] = end
+        if attempt.is_enough and end.error <= settings.rounds.large_error:
+            done.add(attempt.label)
     gains = {
         label: base.fit_criterion - end.fit_criterion - settings.parameter_cost * (len(end.theta) - len(base.theta))
         for label, end in ends.items()
@@ -128,36 +134,38 @@ def _best_whole_fit(
     return ends[accepted], trials, {accepted: gains}
 
 
-def _common_starts(state: SearchState, settings: SearchSettings) -> Sequence[_WholeFitStart]:
+def _common_attempts(state: SearchState, settings: SearchSettings) -> Sequence[_Attempt]:
     """The effects that turn the phase of a channel, at the group of most channels, or of the loads of all exciters."""
-    place, found = _widest_group(state.geometry), list[_WholeFitStart]()
+    place, found = _widest_group(state.geometry), list[_Attempt]()
     for item in candidates(state.geometry, excluded=settings.excluded):
         where, hints = item.placed_effect.where, item.effect.search
         ratio, starts = hints.channel_ratio, hints.whole_fit_starts
         if where == (place,) and ratio is not None and not ratio.sensitivity:
-            found.append(_WholeFitStart(item))
+            found.append(_Attempt.from_start(item))
         elif where == (ALL,) and starts is not None:
-            found += [_WholeFitStart(replace(item, starts=(start,))) for start in starts(state.geometry)]
+            found += [_Attempt.from_start(replace(item, starts=(start,))) for start in starts(state.geometry)]
     return found
 
 
-def _starts_of_bodies(state: SearchState, settings: SearchSettings) -> Sequence[_WholeFitStart]:
-    """The effects that bring a further body: from their first start by bands, then from restarts far from their null.
+def _attempts_with_bodies(state: SearchState, settings: SearchSettings) -> Sequence[_Attempt]:
+    """The effects that bring a further body: by bands, from its measured motion, and from restarts far from their null.
 
-    The bands find a heavy body from a light one; the soft and light of the restarts have no band below their resonance.
+    The bands find a heavy body from a light one. A soft one has no band below its resonance; its motion shows it.
     """
     pool = [
         item
         for item in candidates(state.geometry, excluded=settings.excluded)
         if item.effect.search.restarts is not None and item.effect.search.point_mass is None
     ]
+    restarts = [
+        replace(item, starts=({**item.starts[0], **values},))
+        for item in pool
+        for values in item.effect.search.restart_values(state.geometry, item.placed_effect.where)
+    ]
     return [
-        *(_WholeFitStart(item, regress_in_bands, is_enough=True) for item in pool),
-        *(
-            _WholeFitStart(replace(item, starts=({**item.starts[0], **values},)))
-            for item in pool
-            for values in item.effect.search.restart_values(state.geometry, item.placed_effect.where)
-        ),
+        *(_Attempt(item.label, partial(fit_by_bands, item), is_enough=True) for item in pool),
+        *(_Attempt(item.label, partial(fit_by_measured_motion, item), is_enough=True) for item in pool),
+        *map(_Attempt.from_start, restarts),
     ]
 
 
@@ -165,20 +173,6 @@ def _widest_group(geometry: Geometry) -> str:
     """The group of most channels, or the only channel."""
     groups = channel_groups(geometry)
     return max(groups, key=lambda name: len(groups[name]), default=geometry.channel_names[0])
-
-
-def whole_fit(
-    state: SearchState,
-    added: Sequence[Candidate],
-    lines: SearchLines,
-    settings: SearchSettings,
-    regression: Regression = regress,
-) -> SearchState:
-    """Return the fit from a regression that begins at the declared values: those of the state fit without the added."""
-    geometry = add_candidates(state.geometry, [(item, 0) for item in added], at_start_values=True)
-    model = extend_model(state, geometry).model
-    declared = model.at()
-    return fit_until_stable(regression(declared, lines.fitted, settings.fit), lines, settings.fit)
 
 
 def whole_fit_trial(label: str, gain: float, accepted: bool, number: int) -> Trial:

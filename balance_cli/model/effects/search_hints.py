@@ -89,6 +89,23 @@ class CommonAlternative:
 
 
 @dataclass(frozen=True)
+class BodyMode:
+    """A body on a spring in one of its motions: eigenfrequency [Hz] and compliance [m/N or rad/(N m)].
+
+    `explained`: the share of the motion that it explains, of what is not in proportion to the force.
+    """
+
+    frequency: float
+    compliance: float
+    explained: float
+
+    @property
+    def inertia(self) -> float:
+        """Mass [kg] or moment of inertia [kg m2]."""
+        return 1.0 / (self.compliance * (2 * np.pi * self.frequency) ** 2)
+
+
+@dataclass(frozen=True)
 class SearchHints:
     """How a search finds an effect; an effect without hints is scored once, at the null, at each of its places.
 
@@ -98,6 +115,8 @@ class SearchHints:
       parameters matter as much as its size; `start_from_score(geometry, where, start, step)` then gives the values
       from which a fit begins, `step` being the score test's estimate of the parameters that have a null.
     - `restarts(geometry, where)`: sets of values; each may replace those of a fit in a wrong minimum.
+    - `body_start(start, modes)`: values from which a non-metric side with these modes, by motion, is fitted, about the
+      center of another start.
     - `inaccuracy`: shares of the effect's own signature that noise in the measured motion leaves uncertain, in periodic
       records and in others. Smaller effects beside a large one of this kind are rejected.
     - `at_most_once`: a rig has the effect at one place at most.
@@ -119,6 +138,7 @@ class SearchHints:
     extra_starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
     start_from_score: Callable[[Geometry, Where, Start, Start], Start] | None = None
     restarts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
+    body_start: Callable[[Start, Mapping[str, BodyMode]], Start] | None = None
     inaccuracy: tuple[float, float] = (0.0, 0.0)
     at_most_once: bool = False
     start_at_frequency: Callable[[float], Start] | None = None

@@ -29,7 +29,7 @@ from balance_cli.campaign.rig.torque_meter import FREEDOM_ABOUT
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import position_bound, rig_length
 from balance_cli.model.effects.places import Where, nonempty_subsets
-from balance_cli.model.effects.search_hints import SearchHints, Start
+from balance_cli.model.effects.search_hints import BodyMode, SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, clip_below, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import SHAFT, Equations, dual_motion_at
 
@@ -192,6 +192,18 @@ def _restarts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
     )
 
 
+def _body_start(start: Start, modes: Mapping[str, BodyMode]) -> Start:
+    """The modes of the motions; the translations, which have one mass, with that of the one that shows it best."""
+    values = dict(start)
+    shown = {name: mode for name, mode in modes.items() if name in TRANSLATIONS}
+    mass = max(shown.values(), key=lambda mode: mode.explained).inertia if shown else None
+    for name, mode in modes.items():
+        inertia = mass if name in TRANSLATIONS and mass is not None else mode.inertia
+        values[_inertia_name(name)] = inertia
+        values[f"compliance_{name}"] = 1.0 / (inertia * (2 * np.pi * mode.frequency) ** 2)
+    return values
+
+
 def _bounded_stiffness_ratios(inertia: Dual, compliance: Dual, geometry: Geometry, where: Where) -> Dual:
     """Inertia over compliance (m,), both bounded away from zero, where a square root has no derivative."""
     scale = _parameter_scales(geometry, where)
@@ -223,5 +235,7 @@ EFFECT = Effect(
     places=_places,
     parameters=_parameters,
     apply=_apply,
-    search=SearchHints(places=_search_places, starts=_starts, restarts=_restarts, at_most_once=True),
+    search=SearchHints(
+        places=_search_places, starts=_starts, restarts=_restarts, body_start=_body_start, at_most_once=True
+    ),
 )
