@@ -39,7 +39,7 @@ def lines_with(parameters):
 
 @pytest.mark.parametrize(("heavier", "softer"), [(1.0, 1.0), (8.0, 0.3), (3.0, 4.0)])
 def test_the_modes_of_a_body_are_those_of_its_motion(heavier, softer):
-    """At its center each motion is that of a mass on a spring: its frequency to the step of the scan, and its inertia."""
+    """At its center each motion is a mass on a spring: its frequency to the step of the scan, and its inertia."""
     truth = support(heavier, softer)
     motion = non_metric_motion(lines_with(truth), balance_model(RIG).at().system(derivatives=False), len(RIG.cells))
     found = body_modes(motion.at(np.array(CENTER)), ("z", "theta"))
