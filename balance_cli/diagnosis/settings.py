@@ -63,8 +63,6 @@ class RoundSettings:
     """Model error above which single motions are restarted: beside a right support little is left."""
     max_restarts: int = 4
     """Values of effects that are replaced one after another where a fit is stuck: each takes a fit for each motion."""
-    measured_motion_fits: int = 2
-    """Fits of a further body from its measured motion: of a support in four motions the first had three right."""
     gross_error: float = 0.3
     """Model error above which effects of all channels are tried by whole fits: a wrong delay or filter leaves it."""
     large_error: float = 3e-3
